@@ -1,0 +1,1 @@
+"""The edge server: retrieval, position estimate and error metrics."""

@@ -1,0 +1,1 @@
+"""The scalable O-VIB encoder: model, rate terms, objective, training and baselines."""

@@ -1,0 +1,1 @@
+"""Where data begins: the embedded world, image backbones and feature sets."""

@@ -1,0 +1,1 @@
+"""The wireless link: request packets and latency."""

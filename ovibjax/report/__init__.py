@@ -1,0 +1,1 @@
+"""General tools for results: claims, figure style, the results page."""
