@@ -1,0 +1,266 @@
+"""Feature sets: unit-norm view features with poses and labels, their checks, their splits."""
+
+import hashlib
+import operator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ovibjax.features.feature_files import OnFrame, StrPath, read_npz, read_view_folder, refusal, write_npz
+from ovibjax.views import VIEWS, modes_for
+
+CONTEXTS: tuple[str, ...] = ("corridor", "intersection", "repetitive")
+"""Scene contexts in label order (paper, Section "VOI-Guided Request and Mode Selection")."""
+MIN_FRAMES = 200
+"""Fewest frames worth splitting: 15 percent of them are 30 validation frames."""
+
+_KIND_NAMES = {"iuf": "real numbers", "iu": "integers", "U": "text", "iuU": "text or integers"}
+_NORM_TOLERANCE = 1e-6  # float32 rounding of a unit vector stays within 1e-7
+_BLOCK_FRAMES = 1024  # bounds the float64 copies made while normalising
+_MAX_ID_CHARS = 255
+_SPLIT_STREAM = 0x5911  # keeps the split's draws apart from other uses of the same seed
+
+
+class FeatureSet(NamedTuple):
+    """View features of N frames with poses and labels, as NumPy arrays.
+
+    Text is no JAX type: hand JAX the fields it needs, not the whole set.
+    """
+
+    features: NDArray[np.float32]  # [N, M, d], unit norm per view, in the order of views.VIEWS
+    positions_m: NDArray[np.float32]  # [N, 3]
+    yaw_rad: NDArray[np.float32]  # [N]
+    context: NDArray[np.int32]  # [N], index into CONTEXTS, -1 where unknown
+    scene_id: NDArray[np.int32]  # [N], at least 0
+    frame_id: NDArray[np.str_]  # [N], frame names
+
+
+class Split(NamedTuple):
+    """Frame indices of the three parts, each ascending."""
+
+    train: NDArray[np.int64]
+    val: NDArray[np.int64]
+    test: NDArray[np.int64]
+
+
+def _field(
+    source: str, name: str, value: ArrayLike, kinds: str, shape: tuple[int | str, ...]
+) -> NDArray[Any]:
+    """A field as an array of the wanted kind and shape; a letter in `shape` stands for any length."""
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise refusal(source, f"{name} is not a rectangular array") from error
+    if array.dtype.kind not in kinds:
+        raise refusal(source, f"{name} has dtype {array.dtype}, expected {_KIND_NAMES[kinds]}")
+    if array.ndim != len(shape) or any(
+        isinstance(want, int) and want != have for want, have in zip(shape, array.shape, strict=True)
+    ):
+        wanted, have = (", ".join(map(str, lengths)) for lengths in (shape, array.shape))
+        raise refusal(source, f"{name} has shape [{have}], expected [{wanted}]")
+    return array
+
+
+def _unit_norm(source: str, features: NDArray[Any], frame_id: NDArray[np.str_]) -> NDArray[np.float32]:
+    """Features scaled to unit norm per view; those that already have it keep their bits."""
+    out = np.empty(features.shape, np.float32)
+    for start in range(0, len(features), _BLOCK_FRAMES):
+        block = features[start : start + _BLOCK_FRAMES].astype(np.float64)
+        peak = np.abs(block).max(axis=-1, keepdims=True)
+        for bad, reason in (
+            (~np.isfinite(peak), "feature has values that are not finite (NaN or infinity)"),
+            (peak == 0, "feature has zero norm"),
+        ):
+            if bad.any():
+                row, view, _ = np.argwhere(bad)[0]
+                raise refusal(source, f"frame {frame_id[start + row]!s}, view {VIEWS[view]}: {reason}")
+        # Dividing by the peak first keeps the squares of very small and very large values in range.
+        scaled = block / peak
+        single = block.astype(np.float32)
+        norm = np.linalg.norm(single.astype(np.float64), axis=-1, keepdims=True)
+        scaled /= np.linalg.norm(scaled, axis=-1, keepdims=True)
+        out[start : start + _BLOCK_FRAMES] = np.where(np.abs(norm - 1) <= _NORM_TOLERANCE, single, scaled)
+    return out
+
+
+def validate(feature_set: FeatureSet, source: str = "array") -> FeatureSet:
+    """Check every field and bring it to its dtype, features to unit norm.
+
+    The norm is that of the paper, Section "Task-Oriented Feature Extraction".
+
+    Args:
+        feature_set: fields of any real, integer or text dtype.
+        source: what to call the data in messages, usually a file name.
+
+    Returns:
+        The same set in the dtypes of `FeatureSet`. A set that has been validated comes back unchanged.
+
+    Raises:
+        InputError: a wrong dtype or shape, no frames, not 4 or 5 views, values that are not finite, a zero
+            feature, a label out of range, or a frame name that is not printable text.
+    """
+    features = _field(source, "features", feature_set.features, "iuf", ("N", "M", "d"))
+    n, n_views, dim = features.shape
+    if n == 0:
+        raise refusal(source, "no frames: features has shape [0, M, d]")
+    try:
+        modes_for(n_views)
+    except ValueError as error:
+        raise refusal(source, f"features has {n_views} views: {error}") from error
+    if dim < 2:
+        raise refusal(source, f"features has dimension {dim}, expected at least 2")
+    frame_id = np.array(_field(source, "frame_id", feature_set.frame_id, "U", (n,)).tolist())
+    for row, name in enumerate(frame_id.tolist()):
+        if not name or not name.isprintable() or len(name) > _MAX_ID_CHARS:
+            raise refusal(source, f"frame_id of frame {row} is empty, too long or not printable text")
+    # Values beyond float32 become infinite in the cast and are refused as such.
+    with np.errstate(all="ignore"):
+        positions_m = _field(source, "positions_m", feature_set.positions_m, "iuf", (n, 3)).astype(np.float32)
+        yaw_rad = _field(source, "yaw_rad", feature_set.yaw_rad, "iuf", (n,)).astype(np.float32)
+        unit = _unit_norm(source, features, frame_id)
+    context = _field(source, "context", feature_set.context, "iu", (n,))
+    scene_id = _field(source, "scene_id", feature_set.scene_id, "iu", (n,))
+    checks = (
+        (~np.isfinite(positions_m).all(axis=1), "positions_m is not finite (NaN or infinity)"),
+        (~np.isfinite(yaw_rad), "yaw_rad is not finite (NaN or infinity)"),
+        ((context < -1) | (context >= len(CONTEXTS)), f"context is out of range -1 to {len(CONTEXTS) - 1}"),
+        ((scene_id < 0) | (scene_id > np.iinfo(np.int32).max), "scene_id is out of range 0 to 2**31 - 1"),
+    )
+    for bad, reason in checks:
+        if bad.any():
+            raise refusal(source, f"frame {frame_id[np.argmax(bad)]!s}: {reason}")
+    return FeatureSet(
+        unit, positions_m, yaw_rad, context.astype(np.int32), scene_id.astype(np.int32), frame_id
+    )
+
+
+def make_feature_set(
+    features: ArrayLike,
+    positions_m: ArrayLike,
+    yaw_rad: ArrayLike | None = None,
+    context: ArrayLike | None = None,
+    scene_id: ArrayLike | None = None,
+    frame_id: ArrayLike | None = None,
+    source: str = "array",
+) -> FeatureSet:
+    """A checked feature set from arrays, with defaults for what is not known.
+
+    Args:
+        features: [N, M, d] real, of any norm but zero; M is 5 (UAV) or 4 (UGV).
+        positions_m: [N, 3], metres.
+        yaw_rad: [N], radians; 0 by default.
+        context: [N], index into `CONTEXTS`; -1 (unknown) by default.
+        scene_id: [N], integers from 0; 0 by default.
+        frame_id: [N], text or integers; "000000", "000001", ... by default.
+        source: what to call the data in messages.
+
+    Returns:
+        The set, features at unit norm per view (paper, Section "Task-Oriented Feature Extraction").
+
+    Raises:
+        InputError: as for `validate`.
+    """
+    n = len(_field(source, "features", features, "iuf", ("N", "M", "d")))
+    names = _field(source, "frame_id", np.arange(n) if frame_id is None else frame_id, "iuU", ("N",))
+    if names.dtype.kind in "iu":
+        names = np.array([f"{number:06d}" for number in names.tolist()], dtype=np.str_)
+    fields: tuple[Any, ...] = (  # not yet in the dtypes that FeatureSet promises
+        features,
+        positions_m,
+        np.zeros(n) if yaw_rad is None else yaw_rad,
+        np.full(n, -1) if context is None else context,
+        np.zeros(n, np.int32) if scene_id is None else scene_id,
+        names,
+    )
+    return validate(FeatureSet(*fields), source)
+
+
+def save(path: StrPath, feature_set: FeatureSet) -> None:
+    """Write a feature set to an `.npz` file, whole or not at all.
+
+    Args:
+        path: the file to write or replace; its folder must exist.
+        feature_set: checked before anything is written.
+
+    Raises:
+        InputError: the set is not valid, or the file cannot be written.
+    """
+    write_npz(path, validate(feature_set, str(path))._asdict())
+
+
+def load(path: StrPath, on_frame: OnFrame | None = None) -> FeatureSet:
+    """Read a feature set from an `.npz` file or from a folder in the layout of the paper's authors.
+
+    Args:
+        path: an archive with `features`, `positions_m` and, optionally, the other fields of `FeatureSet`; or
+            a folder `view_features/<Camera>/<frame>.npz` (see `feature_files.read_view_folder`).
+        on_frame: called with (frames read, frames in all) while a folder is read.
+
+    Returns:
+        The checked set. A folder gives no yaw, context or scene: they take their defaults.
+
+    Raises:
+        InputError: the file or folder is missing, corrupt or not valid; the message names it and the reason.
+    """
+    try:
+        is_folder = Path(path).is_dir()
+    except OSError as error:
+        raise refusal(path, f"unreadable path ({error.strerror})") from error
+    if is_folder:
+        arrays = read_view_folder(path, on_frame)
+    else:
+        arrays = read_npz(path, FeatureSet._fields[:2], FeatureSet._fields[2:])
+    return make_feature_set(**arrays, source=str(path))
+
+
+def require_frames(feature_set: FeatureSet, minimum: int = MIN_FRAMES, source: str = "array") -> None:
+    """Refuse a set too small for a split to mean anything.
+
+    Raises:
+        InputError: fewer than `minimum` frames.
+    """
+    n = len(feature_set.features)
+    if n < minimum:
+        raise refusal(source, f"{n} frames, but at least {minimum} frames are needed; add frames")
+
+
+def split_indices(n: int, seed: int) -> Split:
+    """Random 70/15/15 split (paper, Section "Experimental Setup": 4,994 frames give 3,495/749/750).
+
+    Args:
+        n: number of frames, at least 7 so that no part is empty.
+        seed: not negative; the same seed and n give the same split.
+
+    Returns:
+        Disjoint index arrays that cover 0..n-1.
+
+    Raises:
+        InputError: n or seed is too small.
+    """
+    n, seed = operator.index(n), operator.index(seed)
+    if n < 7:
+        raise refusal("split", f"{n} frames cannot be split 70/15/15; at least 7 are needed")
+    if seed < 0:
+        raise refusal("split", f"seed {seed} is negative; use 0 or more")
+    order = np.random.default_rng([seed, _SPLIT_STREAM]).permutation(n)
+    # Whole-number arithmetic: 0.7 * n rounds down wrongly where n is a multiple of 10.
+    train, val = 70 * n // 100, 15 * n // 100
+    return Split(*(np.sort(part) for part in np.split(order, [train, train + val])))
+
+
+def content_hash(feature_set: FeatureSet) -> str:
+    """SHA-256 of names, dtypes, shapes and values of all fields: the key under which derived data is cached.
+
+    Returns:
+        64 hexadecimal digits, the same on every run and machine.
+    """
+    digest = hashlib.sha256()
+    for name, array in feature_set._asdict().items():
+        # The storage width of text depends on how the array was cut, not on what it says.
+        array = np.array(array.tolist()) if array.dtype.kind == "U" else array
+        array = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
