@@ -57,8 +57,22 @@ def _header(head: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
     return shape, fortran_order, dtype, stream.tell()
 
 
+def _declared_members(file: io.BufferedReader) -> int:
+    """Members that the end record of an archive counts.
+
+    `zipfile` ignores that count: where one damaged length swallows the next entry, it drops members silently.
+    """
+    start = max(0, file.seek(0, os.SEEK_END) - 22 - 2**16)
+    file.seek(start)
+    tail = file.read()
+    at = tail.rfind(b"PK\x05\x06") + 10
+    return int.from_bytes(tail[at : at + 2], "little")
+
+
 def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path, key: str) -> NDArray[Any]:
     """One array of an archive; every size is checked against the file before memory is taken."""
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise refusal(path, f"array {key!r} is packed by another method than numpy's; save it with numpy")
     held = info.file_size
     # A directory entry can claim any size; the bytes on disk bound what it can unpack to.
     ratio = 1 if info.compress_type == zipfile.ZIP_STORED else _DEFLATE_MAX_RATIO
@@ -68,15 +82,13 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path, ke
         head = member.read(_HEAD_BYTES)
         shape, fortran_order, dtype, start = _header(head)
         if dtype.hasobject:
-            raise refusal(
-                path, f"array {key!r} holds pickled Python objects, never loaded here; save plain numbers"
-            )
+            raise refusal(path, f"array {key!r} is pickled Python objects, never loaded; save plain numbers")
         if dtype.kind not in _PLAIN_KINDS or dtype.itemsize == 0:
             raise refusal(path, f"array {key!r} has dtype {dtype}, neither real numbers nor text")
         size = math.prod(shape) * dtype.itemsize
         if min(shape, default=0) < 0 or start + size != held:
             raise refusal(
-                path, f"array {key!r} declares shape {shape} of {size} bytes but {held - start} bytes follow"
+                path, f"array {key!r} has shape {shape}, {size} bytes, but {held - start} bytes follow"
             )
         raw = np.empty(size, np.uint8)
         done, chunk = 0, head[start:]
@@ -112,36 +124,39 @@ def read_npz(
     """
     path = Path(path)
     known = (*required, *optional)
+    place = "the archive"
     try:
         if not path.exists():
             raise refusal(path, "no such file or folder")
         if not path.is_file():
             raise refusal(path, "not a regular file")
         # numpy warns of array headers from Python 2; they load all the same.
-        with warnings.catch_warnings(), zipfile.ZipFile(path) as archive:
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             total = sum(info.file_size for info in archive.infolist())
             if len(members) != len(archive.infolist()):
                 raise refusal(path, "two arrays share a name; it is corrupt")
+            if len(members) != _declared_members(file):
+                raise refusal(path, f"corrupt; only {len(members)} of its arrays can be found")
             if total > MAX_TOTAL_BYTES:
-                raise refusal(
-                    path, f"too large: {total} bytes unpacked, at most {MAX_TOTAL_BYTES}; split the file"
-                )
+                raise refusal(path, f"too large: {total} bytes unpacked, over {MAX_TOTAL_BYTES}; split it")
             for key in required:
                 if key not in members:
                     raise refusal(path, f"missing array {key!r}; it needs {', '.join(required)}")
             for key in members:
                 if key not in known and not extra:
                     raise refusal(path, f"unknown array {key!r}; it may hold {', '.join(known)}")
-            return {key: _read_member(archive, members[key], path, key) for key in known if key in members}
+            arrays = {}
+            for key in [key for key in known if key in members]:
+                place = f"array {key!r}"
+                arrays[key] = _read_member(archive, members[key], path, key)
+            return arrays
     except InputError:
         raise
-    except zipfile.BadZipFile as error:
-        raise _unreadable(path, "not an .npz archive, or a truncated or corrupt one", error) from error
     except Exception as error:
         # Corrupt bytes surface as a dozen exception types of zipfile, zlib, ast and numpy; all mean the same.
-        raise _unreadable(path, "corrupt or unreadable", error) from error
+        raise _unreadable(path, f"not an .npz file or corrupt; {place} cannot be read", error) from error
 
 
 def write_npz(path: StrPath, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -183,10 +198,8 @@ def _vector(array: NDArray[Any], path: Path, key: str) -> NDArray[Any]:
     """The array of one frame file as a finite vector."""
     vector = array[0] if array.ndim == 2 and array.shape[0] == 1 else array
     if vector.ndim != 1 or vector.dtype.kind not in "iuf":
-        raise refusal(
-            path,
-            f"array {key!r} has shape {array.shape} and dtype {array.dtype}, expected a vector of numbers",
-        )
+        have = f"shape {array.shape} and dtype {array.dtype}"
+        raise refusal(path, f"array {key!r} has {have}, expected a vector of numbers")
     if not np.isfinite(vector).all():
         raise refusal(path, f"array {key!r} has values that are not finite (NaN or infinity)")
     return vector

@@ -245,7 +245,7 @@ def split_indices(n: int, seed: int) -> Split:
     if seed < 0:
         raise refusal("split", f"seed {seed} is negative; use 0 or more")
     order = np.random.default_rng([seed, _SPLIT_STREAM]).permutation(n)
-    # Whole-number arithmetic: 0.7 * n rounds down wrongly where n is a multiple of 10.
+    # Whole-number arithmetic: int(0.7 * 90) is 62.
     train, val = 70 * n // 100, 15 * n // 100
     return Split(*(np.sort(part) for part in np.split(order, [train, train + val])))
 
