@@ -249,8 +249,8 @@ def _cull(rows: jax.Array, spheres: jax.Array, origin: jax.Array, axes: jax.Arra
     side = (jnp.abs(local[:, 1]) - local[:, 0]) * 0.70710678
     vertical = (jnp.abs(local[:, 2]) - 0.75 * local[:, 0]) * 0.8
     outside = jnp.maximum(jnp.maximum(side, vertical), -local[:, 0]) > radius
-    # Nearest surface first: a large building behind a small one still matters.
-    distance = jnp.linalg.norm(local, axis=1) - radius
+    # Nearest first, but a tower further off hides more of the picture than one more house nearby.
+    distance = (jnp.linalg.norm(local, axis=1) - radius) / radius
     order = jax.lax.top_k(-jnp.where(outside, _FAR_M, distance), keep)[1]
     # What lies outside is moved far away, so that a slot without a primitive never hits.
     return jnp.where(outside[order][:, None], _FAR_M, rows[order])

@@ -8,29 +8,35 @@ _LANE_M = 2.2  # drive on the right
 _TURN_M = 9.0  # a turn begins and ends this far from the crossing
 
 
-def make_route(town: Town, config: TownConfig, n_frames: int, seed: int, spacing_m: float = 2.0) -> Route:
-    """A drive along the roads with turns at crossings, sampled at equal distances.
+def make_route(
+    town: Town, config: TownConfig, n_frames: int, seed: int, spacing_m: float = 1.6, max_turn_rad: float = 0.08
+) -> Route:
+    """A drive along the roads with turns at crossings, sampled at equal times.
 
     Args:
         town: the town to drive in.
         config: its description (flight height).
         n_frames: poses to return.
         seed: the drive; streams of other seeds are independent.
-        spacing_m: distance driven between poses.
+        spacing_m: distance flown between poses on a straight road (about half a second at 3 m/s).
+        max_turn_rad: rotation between poses in a turn.
 
     Returns:
         The route; heading follows the road up to a few degrees, the lateral offset wanders by about a metre.
     """
     rng = np.random.default_rng([config.seed, seed, 0x10])
-    corners = _walk_grid(rng, town, length_m=n_frames * spacing_m * 1.3 + 200.0)
+    corners = _walk_grid(rng, town, length_m=n_frames * spacing_m + 200.0)
     path = _round_corners(corners)
     step = np.diff(path, axis=0)
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
-    at = np.arange(n_frames) * spacing_m
-    xy = np.stack([np.interp(at, travelled, path[:, axis]) for axis in (0, 1)], axis=1)
-    # The tangent over a few metres, so that a turn is a turn and not a jump.
-    ahead = np.stack([np.interp(at + 1.5, travelled, path[:, axis]) for axis in (0, 1)], axis=1)
-    behind = np.stack([np.interp(at - 1.5, travelled, path[:, axis]) for axis in (0, 1)], axis=1)
+    turn = np.abs(np.angle(np.exp(1j * np.diff(np.arctan2(step[:, 1], step[:, 0]), prepend=0.0))))
+    turn[0] = 0.0
+    # A drone slows down in turns: the clock runs with distance or with rotation, whichever is slower.
+    pace = np.maximum(np.hypot(step[:, 0], step[:, 1]) / spacing_m, turn / max_turn_rad)
+    clock = np.concatenate([[0.0], np.cumsum(pace)])
+    frame = np.arange(n_frames, dtype=np.float64)
+    xy = np.stack([np.interp(frame, clock, path[:, axis]) for axis in (0, 1)], axis=1)
+    ahead = np.stack([np.interp(frame + 0.5, clock, path[:, axis]) for axis in (0, 1)], axis=1)
+    behind = np.stack([np.interp(frame - 0.5, clock, path[:, axis]) for axis in (0, 1)], axis=1)
     yaw = np.arctan2(*(ahead - behind).T[::-1])
     offset = -_LANE_M + 0.9 * _wander(rng, n_frames, spacing_m, correlation_m=30.0)
     xy += offset[:, None] * np.stack([-np.sin(yaw), np.cos(yaw)], axis=1)
@@ -53,7 +59,9 @@ def _walk_grid(rng: np.random.Generator, town: Town, length_m: float) -> np.ndar
             m for m in moves if np.all(node + m >= 0) and np.all(node + m <= last) and np.any(m != -heading)
         ]
         # Opposite directions of one street are different drives: they see it from different sides.
-        counts = np.array([visits.get((*node, *m), 0) for m in moves]) + rng.uniform(0, 0.9, len(moves))
+        straight = np.array([float(np.all(m == heading)) for m in moves])
+        counts = np.array([visits.get((*node, *m), 0) for m in moves]) - 0.8 * straight
+        counts = counts + rng.uniform(0, 0.7, len(moves))
         heading = moves[int(np.argmin(counts))]
         key = (*node.tolist(), *heading.tolist())
         visits[key] = visits.get(key, 0) + 1

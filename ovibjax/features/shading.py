@@ -130,8 +130,8 @@ def shade_ground(town: Town, hit: Colour, footprint: jax.Array) -> tuple[Colour,
     """Carriageway with markings and zebra crossings, pavement, and lawns or yards inside the blocks."""
     x, y = hit[0], hit[1]
     half, pavement = town.road_half_width_m, town.pavement_m
-    dx, block_i = _nearest_road(x, town.road_x_m)
-    dy, block_j = _nearest_road(y, town.road_y_m)
+    dx, road_i, block_i = _nearest_road(x, town.road_x_m)
+    dy, road_j, block_j = _nearest_road(y, town.road_y_m)
     ax, ay = jnp.abs(dx), jnp.abs(dy)
     on_x, on_y = ax < half, ay < half
     crossing = on_x & on_y
@@ -145,10 +145,14 @@ def shade_ground(town: Town, hit: Colour, footprint: jax.Array) -> tuple[Colour,
     open_road = (to_crossing > 5.5) & ~crossing
     dashes = _line(across, 0.09, footprint) * stripes(along, 6.0, 0.5, footprint)
     sides = _line(jnp.abs(across) - (half - 0.35), 0.08, footprint)
-    zebra = stripes(across, 1.1, 0.5, footprint) * ((to_crossing > 1.2) & (to_crossing < 4.2))
+    # Every second arm of a crossing has a zebra; which ones tells crossings apart.
+    arm = jnp.where(on_x, 2 + (dy > 0).astype(jnp.int32), (dx > 0).astype(jnp.int32))
+    has_zebra = _hash(road_i * 4 + arm, road_j, 59) > 0.5
+    beside = (to_crossing > 1.2) & (to_crossing < 4.2)
+    zebra = stripes(across, 1.1, 0.5, footprint) * (beside & has_zebra).astype(jnp.float32)
     stop = ((to_crossing > 4.8) & (to_crossing < 5.4) & (jnp.abs(across) < half - 0.4)).astype(jnp.float32)
     paint = jnp.where(open_road, jnp.maximum(dashes, sides), jnp.maximum(zebra, stop))
-    paint = jnp.where(crossing, 0.0, paint) * (0.7 + 0.3 * noise(x * 0.9, y * 0.9, 31))
+    paint = jnp.where(crossing, 0.0, paint) * (0.55 + 0.3 * noise(x * 0.9, y * 0.9, 31))
     broad = noise(x * 0.045, y * 0.045, 41)
     fine = noise(x * 0.6, y * 0.6, 43)
     fine = _mix(fine, 0.5, jnp.clip(footprint * 0.4, 0.0, 1.0))
@@ -156,20 +160,24 @@ def shade_ground(town: Town, hit: Colour, footprint: jax.Array) -> tuple[Colour,
     ix, _ = _floor(x / 3.7)
     iy, _ = _floor(y / 4.9)
     patch = jnp.where(_hash(ix, iy, 47) > 0.9, -0.05, 0.0)
-    asphalt = 0.19 + 0.10 * broad + 0.05 * fine + patch
+    worn = jnp.where(on_x, _hash(road_i, road_i, 71), _hash(road_j, road_j, 73))
+    asphalt = 0.15 + 0.12 * broad + 0.05 * fine + 0.10 * worn + patch
     slabs = 1 - 0.16 * jnp.maximum(stripes(x, 1.5, 0.06, footprint), stripes(y, 1.5, 0.06, footprint))
     walk = (0.46 + 0.10 * broad + 0.05 * fine) * slabs
     lawn = _block_value(town.lawn, block_i, block_j)
     tint = _hash(block_i, block_j, 53)
-    yard = 0.34 + 0.16 * tint + 0.10 * fine
+    warm = _hash(block_j, block_i, 79) - 0.5
+    yard = 0.26 + 0.26 * tint + 0.10 * fine
     grass = 0.75 + 0.35 * fine + 0.3 * broad
     rgb = []
-    for road_c, walk_c, yard_c, grass_c in zip(
-        (0.97, 0.98, 1.04), (1.04, 1.0, 0.94), (1.08, 1.0, 0.86), (0.24, 0.36, 0.13), strict=True
+    for road_c, walk_c, yard_c, grass_c, warm_c in zip(
+        *((0.97, 0.98, 1.04), (1.04, 1.0, 0.94), (1.08, 1.0, 0.86), (0.24, 0.36, 0.13), (0.45, 0.0, -0.4)),
+        strict=True,
     ):
-        inside = jnp.where(lawn > 0.5, grass * (grass_c + 0.08 * (tint - 0.5)), yard * yard_c)
+        tinted = 1 + warm_c * warm
+        inside = jnp.where(lawn > 0.5, grass * (grass_c + 0.10 * (tint - 0.5)), yard * yard_c) * tinted
         road = _mix(asphalt * road_c, 0.86, paint)
-        rgb.append(jnp.where(on_road, road, jnp.where(on_pavement, walk * walk_c, inside)))
+        rgb.append(jnp.where(on_road, road, jnp.where(on_pavement, walk * walk_c * tinted, inside)))
     painted = on_road & (paint > 0.35)
     ids = {name: i for i, name in enumerate(SEMANTIC_CLASSES)}
     klass = jnp.where(painted, ids["road_line"], ids["road"])
@@ -177,15 +185,17 @@ def shade_ground(town: Town, hit: Colour, footprint: jax.Array) -> tuple[Colour,
     return rgb, klass
 
 
-def _nearest_road(x: jax.Array, roads: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Signed distance to the nearest road axis, and how many axes lie to the left (the block's index)."""
+def _nearest_road(x: jax.Array, roads: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Signed distance to the nearest road axis, its index, and the index of the block between two axes."""
     best = x - roads[0]
-    block = (x > roads[0]).astype(jnp.int32)
+    index = jnp.zeros_like(x, dtype=jnp.int32)
+    block = (best > 0).astype(jnp.int32)
     for r in range(1, roads.shape[0]):
         d = x - roads[r]
+        index = jnp.where(jnp.abs(d) < jnp.abs(best), r, index)
         best = jnp.where(jnp.abs(d) < jnp.abs(best), d, best)
         block = block + (d > 0).astype(jnp.int32)
-    return best, block
+    return best, index, block
 
 
 def _block_value(table: jax.Array, i: jax.Array, j: jax.Array) -> jax.Array:

@@ -48,7 +48,7 @@ class TownConfig:
     block_m: float = 57.0
     road_half_width_m: float = 5.5
     pavement_m: float = 2.5
-    flight_height_m: float = 12.0
+    flight_height_m: float = 20.0
 
 
 class Town(NamedTuple):

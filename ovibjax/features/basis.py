@@ -1,0 +1,59 @@
+"""Per-view principal basis: centre each view's features and keep r coordinates per view.
+
+The reconstruction loss in an orthonormal basis equals the full one up to the energy left out, and the view mask
+keeps its meaning: a masked view is the zero vector, here the view's mean. With r = d nothing is left out.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ViewBasis(NamedTuple):
+    """An affine map per view, fitted on training features only.
+
+    Attributes:
+        mean: [M, d] mean feature of each view.
+        axes: [M, d, r] orthonormal columns.
+        scale: scalar; coordinates are divided by it, so that their overall variance is one.
+        energy_kept: [M] share of each view's variance inside the basis.
+    """
+
+    mean: np.ndarray
+    axes: np.ndarray
+    scale: np.ndarray
+    energy_kept: np.ndarray
+
+
+def fit_basis(features: np.ndarray, rank: int | None) -> ViewBasis:
+    """Fit the basis on training features.
+
+    Args:
+        features: [N, M, d] unit-norm features.
+        rank: coordinates r per view; None or anything not below min(N, d) keeps all d dimensions.
+
+    Returns:
+        The basis.
+    """
+    n, m, d = features.shape
+    mean = features.mean(axis=0)
+    centred = features - mean
+    if rank is None or rank >= min(n, d):
+        axes = np.broadcast_to(np.eye(d, dtype=np.float32), (m, d, d)).copy()
+        kept = np.ones(m)
+    else:
+        parts, kept = [], np.empty(m)
+        for view in range(m):
+            covariance = centred[:, view].T.astype(np.float64) @ centred[:, view]
+            values, vectors = np.linalg.eigh(covariance)
+            parts.append(vectors[:, ::-1][:, :rank])
+            kept[view] = values[::-1][:rank].sum() / max(values.sum(), 1e-30)
+        axes = np.stack(parts).astype(np.float32)
+    scale = np.float32(np.sqrt(np.mean(np.einsum("nmd,mdr->nmr", centred, axes) ** 2)))
+    return ViewBasis(mean.astype(np.float32), axes, np.maximum(scale, np.float32(1e-8)), kept.astype(np.float32))
+
+
+def project(basis: ViewBasis, features: np.ndarray) -> np.ndarray:
+    """Coordinates [N, M, r] of features [N, M, d]."""
+    coordinates = np.einsum("nmd,mdr->nmr", features - basis.mean, basis.axes) / basis.scale
+    return coordinates.astype(np.float32)
