@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ovibjax.encoder.model import OVIB, mean_projection
+from ovibjax.encoder.model import Architecture, Params, decode, encode, locate, mean_projection
 from ovibjax.encoder.rate import ard_kl, gaussian_kl
 
 
@@ -56,7 +56,7 @@ class Batch(NamedTuple):
     noise: jax.Array
 
 
-def prefix_mask(k: jax.Array | int, K: int) -> jax.Array:  # noqa: N803 - the paper's symbol
+def prefix_mask(k: jax.Array | int, K: int) -> jax.Array:
     """Binary mask of the first k of K coordinates; k may be traced.
 
     Args:
@@ -69,7 +69,7 @@ def prefix_mask(k: jax.Array | int, K: int) -> jax.Array:  # noqa: N803 - the pa
     return (jnp.arange(K) < k).astype(jnp.float32)
 
 
-def orthogonality_penalty(W: jax.Array) -> jax.Array:  # noqa: N803 - the paper's symbol
+def orthogonality_penalty(W: jax.Array) -> jax.Array:
     """Normalised deviation of the rows of W from orthonormality, K^-2 ||W W^T - I||_F^2.
 
     Args:
@@ -82,7 +82,9 @@ def orthogonality_penalty(W: jax.Array) -> jax.Array:  # noqa: N803 - the paper'
     return jnp.sum((W @ W.T - jnp.eye(size, dtype=W.dtype)) ** 2) / size**2
 
 
-def composite_loss(params: dict, batch: Batch, hypers: Hypers, model: OVIB, prior: str) -> tuple[jax.Array, dict]:
+def composite_loss(
+    params: Params, batch: Batch, hypers: Hypers, arch: Architecture, prior: str
+) -> tuple[jax.Array, dict[str, jax.Array]]:
     """The training objective and each of its terms.
 
     Units: features are centred and scaled so that every coordinate has unit variance on average; dividing their
@@ -90,10 +92,10 @@ def composite_loss(params: dict, batch: Batch, hypers: Hypers, model: OVIB, prio
     standardised. In these units the paper's (alpha, beta, gamma) = (1, 1e-3, 0.1) are the defaults.
 
     Args:
-        params: parameters of `model`.
+        params: parameters of the network.
         batch: a minibatch.
         hypers: weights of the terms.
-        model: the network (static).
+        arch: widths of the network (static).
         prior: "gaussian" or "ard" (static).
 
     Returns:
@@ -106,12 +108,12 @@ def composite_loss(params: dict, batch: Batch, hypers: Hypers, model: OVIB, prio
         raise ValueError(f"prior is 'gaussian' or 'ard', not {prior!r}")
     views = batch.view_mask[:, :, None]
     x = (batch.x * views).reshape(batch.x.shape[0], -1)
-    mu, logvar = model.apply(params, x, method="encode")
+    mu, logvar = encode(params, x, arch)
     z = (mu + jnp.exp(0.5 * logvar) * batch.noise) * batch.prefix_mask
-    descriptor = model.apply(params, z, method="decode")
+    descriptor = decode(params, z, arch)
     # The view mask applies to the decoded descriptor as to the input.
     descriptor = (descriptor.reshape(batch.x.shape) * views).reshape(x.shape)
-    position = model.apply(params, descriptor, method="locate")
+    position = locate(params, descriptor, arch)
     kl = gaussian_kl if prior == "gaussian" else ard_kl
     terms = {
         "reconstruction": jnp.mean(jnp.sum((x - descriptor) ** 2, axis=-1)) / batch.x.shape[2],

@@ -5,10 +5,14 @@ it trains to lower error than ReLU here, because a smooth decoder interpolates b
 """
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+
+Params = dict[str, Any]
+"""Parameters of the network: nested dictionaries of float32 arrays."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +77,39 @@ class OVIB(nn.Module):
         return descriptor, self.locate(descriptor)
 
 
-def mean_projection(params: dict) -> jax.Array:
+def init(key: jax.Array, arch: Architecture) -> Params:
+    """Initial parameters.
+
+    Args:
+        key: random key.
+        arch: widths of the network.
+
+    Returns:
+        A pytree of float32 arrays.
+    """
+    return cast(Params, OVIB(arch).init(key, jnp.zeros((1, arch.n_views * arch.view_dim), jnp.float32)))
+
+
+def encode(params: Params, x: jax.Array, arch: Architecture) -> tuple[jax.Array, jax.Array]:
+    """Posterior mean and log-variance, each [B, K], of masked flattened features x [B, M r]."""
+    return cast(tuple[jax.Array, jax.Array], OVIB(arch).apply(params, x, method="encode"))
+
+
+def decode(params: Params, z: jax.Array, arch: Architecture) -> jax.Array:
+    """Reconstructed descriptor [B, M r] of a masked latent z [B, K]."""
+    return cast(jax.Array, OVIB(arch).apply(params, z, method="decode"))
+
+
+def locate(params: Params, descriptor: jax.Array, arch: Architecture) -> jax.Array:
+    """Standardised position [B, 3] regressed from a descriptor [B, M r]."""
+    return cast(jax.Array, OVIB(arch).apply(params, descriptor, method="locate"))
+
+
+def mean_projection(params: Params) -> jax.Array:
     """The matrix W [K, d_h] of the posterior-mean projection."""
     return params["params"]["mean"]["kernel"].T
 
 
-def parameter_bytes(params: dict) -> int:
+def parameter_bytes(params: Params) -> int:
     """Size of the parameters in float32 bytes."""
     return sum(leaf.size * 4 for leaf in jax.tree.leaves(params))

@@ -6,14 +6,14 @@ is one large matrix product over a shared minibatch.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 
 from ovibjax.encoder.loss import Batch, Hypers, composite_loss
-from ovibjax.encoder.model import OVIB, Architecture
+from ovibjax.encoder.model import Architecture, Params, init
 
 PAPER_PREFIXES = (4, 8, 16, 32, 64, 96, 128)
 
@@ -51,12 +51,6 @@ class TrainData(NamedTuple):
     x: jax.Array
     y: jax.Array
     mode_masks: jax.Array
-
-
-def init(key: jax.Array, static: TrainConfig) -> dict:
-    """Initial parameters of a member."""
-    width = static.arch.n_views * static.arch.view_dim
-    return OVIB(static.arch).init(key, jnp.zeros((1, width), jnp.float32))
 
 
 def make_optimizer(hypers: Hypers, static: TrainConfig, total_steps: int) -> optax.GradientTransformation:
@@ -98,7 +92,7 @@ def sample_batch(key: jax.Array, index: jax.Array, data: TrainData, static: Trai
     )
 
 
-def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) -> tuple[dict, dict[str, jax.Array]]:
+def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) -> tuple[Params, dict[str, jax.Array]]:
     """Train one member (paper, eq. "composite_loss" with AdamW).
 
     Args:
@@ -116,19 +110,18 @@ def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) ->
     per_epoch = n // batch
     epochs = -(-static.steps // per_epoch)
     optimizer = make_optimizer(hypers, static, epochs * per_epoch)
-    model = OVIB(static.arch)
-    params = init(key_init, static)
+    params = init(key_init, static.arch)
 
-    def step(state: tuple, inputs: tuple) -> tuple:
+    def step(state: Any, inputs: Any) -> Any:
         params, opt_state = state
         count, index = inputs
         minibatch = sample_batch(jax.random.fold_in(key_steps, count), index, data, static)
         grad_fn = jax.value_and_grad(composite_loss, has_aux=True)
-        (loss, terms), grads = grad_fn(params, minibatch, hypers, model, static.prior)
+        (loss, terms), grads = grad_fn(params, minibatch, hypers, static.arch, static.prior)
         updates, opt_state = optimizer.update(grads, opt_state, params)
         return (optax.apply_updates(params, updates), opt_state), {"loss": loss, **terms}
 
-    def epoch(state: tuple, number: jax.Array) -> tuple:
+    def epoch(state: Any, number: jax.Array) -> Any:
         order = jax.random.permutation(jax.random.fold_in(key_order, number), n)
         index = order[: per_epoch * batch].reshape(per_epoch, batch)
         count = number * per_epoch + jnp.arange(per_epoch)

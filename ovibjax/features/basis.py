@@ -44,16 +44,19 @@ def fit_basis(features: np.ndarray, rank: int | None) -> ViewBasis:
     else:
         parts, kept = [], np.empty(m)
         for view in range(m):
-            covariance = centred[:, view].T.astype(np.float64) @ centred[:, view]
-            values, vectors = np.linalg.eigh(covariance)
+            values, vectors = np.linalg.eigh((centred[:, view].T @ centred[:, view]).astype(np.float64))
             parts.append(vectors[:, ::-1][:, :rank])
             kept[view] = values[::-1][:rank].sum() / max(values.sum(), 1e-30)
         axes = np.stack(parts).astype(np.float32)
-    scale = np.float32(np.sqrt(np.mean(np.einsum("nmd,mdr->nmr", centred, axes) ** 2)))
+    scale = np.float32(np.sqrt(np.mean(_per_view(centred, axes) ** 2)))
     return ViewBasis(mean.astype(np.float32), axes, np.maximum(scale, np.float32(1e-8)), kept.astype(np.float32))
 
 
 def project(basis: ViewBasis, features: np.ndarray) -> np.ndarray:
     """Coordinates [N, M, r] of features [N, M, d]."""
-    coordinates = np.einsum("nmd,mdr->nmr", features - basis.mean, basis.axes) / basis.scale
-    return coordinates.astype(np.float32)
+    return (_per_view(features - basis.mean, basis.axes) / basis.scale).astype(np.float32)
+
+
+def _per_view(features: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """One matrix product per view: [N, M, d] by [M, d, r] to [N, M, r]."""
+    return np.stack([features[:, view] @ axes[view] for view in range(len(axes))], axis=1)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ovibjax.features.town import CONTEXTS, Route, Town, TownConfig
+from ovibjax.features.frames import CONTEXTS
+from ovibjax.features.town import Route, Town, TownConfig
 
 _LANE_M = 2.2  # drive on the right
 _TURN_M = 9.0  # a turn begins and ends this far from the crossing
@@ -121,6 +122,6 @@ def context_labels(town: Town, positions_m: np.ndarray, radius_m: float = 38.0) 
     near = np.linalg.norm(middle[None] - xy[:, None], axis=2) < radius_m
     counts = near.astype(np.float32) @ np.eye(kind.max() + 1, dtype=np.float32)[kind.ravel()]
     twins = np.where(counts >= 3, counts, 0).sum(axis=1) / np.maximum(counts.sum(axis=1), 1)
-    codes = np.where(on_x_road & on_y_road, 1, np.where(twins > 0.6, 2, 0))
-    assert len(CONTEXTS) == 3
+    corridor, intersection, repetitive = (CONTEXTS.index(c) for c in ("corridor", "intersection", "repetitive"))
+    codes = np.where(on_x_road & on_y_road, intersection, np.where(twins > 0.6, repetitive, corridor))
     return codes.astype(np.int32)

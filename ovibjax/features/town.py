@@ -10,9 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-CONTEXTS: tuple[str, ...] = ("corridor", "intersection", "repetitive")
-"""Scene context labels, in the order of their integer codes."""
-
 # Columns of `Town.boxes`: what the renderer needs to know of one building.
 BOX_COLUMNS: tuple[str, ...] = (
     *("x0", "y0", "z0", "x1", "y1", "z1"),

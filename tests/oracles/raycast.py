@@ -23,34 +23,32 @@ def pixel_ray(view, yaw_rad, row, column, height_px, width_px):
     return np.array([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle), z])
 
 
-def box_hit(box, origin, ray):
-    """Depth at which the ray enters a box (slab test), and whether it enters through the roof."""
+def box_hits(boxes, origin, ray):
+    """Depths at which the ray enters each box (slab test), and whether it enters through the roof; [B], [B]."""
     with np.errstate(divide="ignore"):
-        a, b = (box[:3] - origin) / ray, (box[3:6] - origin) / ray
+        a, b = (boxes[:, :3] - origin) / ray, (boxes[:, 3:6] - origin) / ray
     enter, leave = np.minimum(a, b), np.maximum(a, b)
-    if enter.max() >= leave.min() or enter.max() <= 0:
-        return np.inf, False
-    return enter.max(), enter.argmax() == 2
+    depth = enter.max(axis=1)
+    hits = (depth < leave.min(axis=1)) & (depth > 0)
+    return np.where(hits, depth, np.inf), enter.argmax(axis=1) == 2
 
 
-def crown_hit(tree, origin, ray):
-    """Depth at which the ray enters the sphere of leaves."""
-    offset = origin - tree[:3]
-    a, b, c = ray @ ray, ray @ offset, offset @ offset - tree[3] ** 2
-    if b * b < a * c:
-        return np.inf
-    t = (-b - np.sqrt(b * b - a * c)) / a
-    return t if t > 0 else np.inf
+def _round_hits(offset, ray, radius):
+    """Depths at which a ray enters spheres (three columns) or upright cylinders (two columns); [T]."""
+    a, b, c = ray @ ray, offset @ ray, (offset**2).sum(axis=1) - radius**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (-b - np.sqrt(b * b - a * c)) / a  # NaN where the ray passes by
+    return np.where(depth > 0, depth, np.inf)
 
 
-def trunk_hit(tree, origin, ray):
-    """Depth at which the ray enters the vertical cylinder below the middle of the crown."""
-    offset, level = (origin - tree[:3])[:2], ray[:2]
-    a, b, c = level @ level, level @ offset, offset @ offset - TRUNK_RADIUS_M**2
-    if a == 0 or b * b < a * c:
-        return np.inf
-    t = (-b - np.sqrt(b * b - a * c)) / a
-    return t if t > 0 and origin[2] + t * ray[2] < tree[2] else np.inf
+def tree_hits(trees, origin, ray):
+    """Depths at which the ray enters each crown, or the trunk below the crown's middle; [T]."""
+    offset = origin - trees[:, :3]
+    crown = _round_hits(offset, ray, trees[:, 3])
+    trunk = _round_hits(offset[:, :2], ray[:2], TRUNK_RADIUS_M)
+    with np.errstate(invalid="ignore"):
+        level_m = origin[2] + trunk * ray[2]
+    return np.minimum(crown, np.where(level_m < trees[:, 2], trunk, np.inf))
 
 
 def ground_kind(town, x, y):
@@ -76,12 +74,11 @@ def first_hit(town, origin, ray):
     if ray[2] < 0 and -origin[2] / ray[2] <= HORIZON_M:
         best = -origin[2] / ray[2]
         kind = ground_kind(town, *(origin + best * ray)[:2])
-    for box in np.asarray(town.boxes, np.float64):
-        t, on_roof = box_hit(box, origin, ray)
-        if t < best:
-            best, kind = t, "roof" if on_roof else "building"
-    for tree in np.asarray(town.trees, np.float64):
-        t = min(crown_hit(tree, origin, ray), trunk_hit(tree, origin, ray))
-        if t < best:
-            best, kind = t, "vegetation"
+    box_depth, on_roof = box_hits(town.boxes.astype(np.float64), origin, ray)
+    tree_depth = tree_hits(town.trees.astype(np.float64), origin, ray)
+    nearest_box, nearest_tree = box_depth.argmin(), tree_depth.argmin()
+    if box_depth[nearest_box] < best:
+        best, kind = box_depth[nearest_box], "roof" if on_roof[nearest_box] else "building"
+    if tree_depth[nearest_tree] < best:
+        best, kind = tree_depth[nearest_tree], "vegetation"
     return best, kind

@@ -1,0 +1,111 @@
+"""The command line: `ovibjax reproduce` and `ovibjax town`.
+
+The only place, with the tests' `conftest.py`, where process-wide settings are made.
+"""
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ovibjax.errors import InputError
+from ovibjax.progress import console
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Reproduce the paper's figures and tables; without options, all of them on the embedded town.
+
+    Figures, tables (CSV) and judged claims (JSON) are written to OUT/<figure>/, and OUT/README.md shows them all.
+    Rendering and embedding the town is done once and cached (folder: OVIBJAX_CACHE, or the user's cache).
+    """
+
+    preset: Literal["smoke", "quick", "full"] = "quick"
+    """smoke: seconds, to see that it runs; quick: minutes; full: what the repository's results/ holds."""
+    only: tuple[str, ...] = ()
+    """Names of the figures to make, e.g. scalable_compression; all by default."""
+    out: Path = Path("results")
+    """Results folder; made if missing."""
+    data: Path | None = None
+    """Your own feature set: a .npz file, or a folder view_features/<Camera>/<frame>.npz (keys feature, position)."""
+    backbone: str = "embedded"
+    """Image backbone of the embedded town."""
+    seed: int = 0
+    """First seed; a figure over n seeds uses SEED ... SEED+n-1."""
+    rank: int = 64
+    """Principal coordinates kept per view (fitted on training frames); 0 keeps the full dimension, 4 x slower."""
+    sweep: Path | None = None
+    """A sweep file of your own (a Python file with TITLE and run(job)), run instead of the figures."""
+
+    def run(self) -> None:
+        """Run the command."""
+        from ovibjax.reproduce import reproduce
+
+        rank = self.rank if self.rank != 0 else None
+        page = reproduce(self.preset, self.only, self.out, self.data, self.backbone, self.seed, self.sweep, rank)
+        console.print(f"results: {page}")
+
+
+@dataclass(frozen=True)
+class TownCommand:
+    """Draw the embedded town: a contact sheet, and on request frames in the released data set's folder layout."""
+
+    out: Path
+    """Folder for contact_sheet.png and the frames; made if missing."""
+    frames: int = 0
+    """Frames to write as rgb/ depth/ semantic/ metadata/ calibration/ (400 x 300, five cameras); none by default."""
+    seed: int = 5
+    """The town; another seed is another town."""
+    route: int = 0
+    """The drive through it."""
+
+    def run(self) -> None:
+        """Run the command."""
+        from ovibjax.features.town import TownConfig
+        from ovibjax.features.town_files import contact_sheet, write_frames
+        from ovibjax.progress import progress_bar
+
+        for name, value in (("frames", self.frames), ("seed", self.seed), ("route", self.route)):
+            if value < 0:
+                raise InputError(f"--{name} {value} is negative")
+        config = TownConfig(seed=self.seed)
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+            with console.status("drawing the contact sheet"):
+                contact_sheet(config, self.out / "contact_sheet.png")
+        except OSError as error:
+            raise InputError(
+                f"{self.out}: cannot write there ({error.strerror}); choose another folder with --out"
+            ) from error
+        console.print(f"contact sheet: {self.out / 'contact_sheet.png'}")
+        if self.frames:
+            with progress_bar(f"writing {self.frames} frames", self.frames) as update:
+                write_frames(config, self.out, self.frames, self.route, on_frame=lambda done, _: update(done))
+            console.print(f"frames: {self.out}")
+
+
+Command = Annotated[Reproduce, tyro.conf.subcommand("reproduce")] | Annotated[TownCommand, tyro.conf.subcommand("town")]
+
+
+def main() -> None:
+    """Entry point of the console script; bad input is one line and exit code 2."""
+    from ovibjax.reproduce import Interrupted
+
+    command: Command = tyro.cli(
+        Command,
+        prog="ovibjax",
+        description="Task-oriented communications for edge-assisted multi-view localization, for people who sweep.",
+    )
+    try:
+        command.run()
+    except InputError as error:
+        print(f"ovibjax: {error}", file=sys.stderr)
+        sys.exit(2)
+    except (Interrupted, KeyboardInterrupt) as error:
+        print(f"ovibjax: {error or 'interrupted'}", file=sys.stderr)
+        sys.stderr.flush()
+        # Compiled programs still running in worker threads cannot be stopped; do not wait for them.
+        os._exit(130)

@@ -1,0 +1,45 @@
+"""Linear baseline: principal components of the joint multi-view feature at the same number of floats."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+
+class PCA(NamedTuple):
+    """A nested linear code of flattened, masked features.
+
+    Attributes:
+        components: [D, K] orthonormal columns, most energetic first.
+    """
+
+    components: jax.Array
+
+
+def fit_pca(x: jax.Array, latent: int) -> PCA:
+    """Fit principal components.
+
+    Args:
+        x: [N, D] centred features.
+        latent: number of components K; at most min(N, D) are kept.
+
+    Returns:
+        The code.
+    """
+    values, vectors = jnp.linalg.eigh(x.T @ x)
+    del values
+    return PCA(vectors[:, ::-1][:, : min(latent, *x.shape)])
+
+
+def pca_reconstruct(pca: PCA, x: jax.Array, prefix: jax.Array) -> jax.Array:
+    """Reconstruction [B, D] of features [B, D] from their first k principal coordinates.
+
+    Args:
+        pca: a fitted code.
+        x: [B, D] features.
+        prefix: [K] binary prefix mask.
+
+    Returns:
+        [B, D] reconstruction.
+    """
+    return ((x @ pca.components) * prefix[None, : pca.components.shape[1]]) @ pca.components.T

@@ -1,0 +1,39 @@
+"""Progress on the terminal."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+console = Console(stderr=True)
+
+
+@contextmanager
+def progress_bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A bar that appears on its first update.
+
+    Args:
+        description: what is being done.
+        total: steps in all.
+
+    Yields:
+        A function that takes the number of finished steps.
+    """
+    text = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    bar = Progress(*text, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
+    task = bar.add_task(description, total=total)
+    started = False
+
+    def update(done: int) -> None:
+        nonlocal started
+        if not started:
+            bar.start()
+            started = True
+        bar.update(task, completed=done)
+
+    try:
+        yield update
+    finally:
+        if started:
+            bar.stop()

@@ -1,0 +1,195 @@
+"""Find the cards (one file per figure of the paper) and run them with their data, presets and output folders."""
+
+import importlib.util
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import ovibjax
+from ovibjax.errors import InputError
+from ovibjax.features.embedded import PAPER_FRAMES, town_features
+from ovibjax.features.frames import FeatureSet, load, require_frames
+from ovibjax.features.town import TownConfig
+from ovibjax.progress import console, progress_bar
+from ovibjax.report.page import write_page
+
+PRESETS = ("smoke", "quick", "full")
+_SMOKE_FRAMES = 400
+
+
+class Interrupted(Exception):
+    """Ctrl-C came; the message says what was kept."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a card is given.
+
+    Attributes:
+        name: the card's name.
+        preset: one of `PRESETS`.
+        out: the card's own output folder, which exists.
+        seed: first seed; a card that needs n seeds uses seed ... seed + n - 1.
+        features: the data.
+        source: "embedded" or the path the data came from.
+        rank: coordinates kept per view; None keeps all.
+    """
+
+    name: str
+    preset: str
+    out: Path
+    seed: int
+    features: FeatureSet
+    source: str
+    rank: int | None
+
+    @property
+    def embedded(self) -> bool:
+        """Whether the data are the embedded town, about which the project states expectations."""
+        return self.source == "embedded"
+
+
+def cards_folder() -> Path:
+    """Folder of the cards: `sweeps/` of a checkout, or the copy inside an installed wheel."""
+    package = Path(ovibjax.__file__).parent
+    checkout = package.parent / "sweeps"
+    return checkout if (package.parent / "pyproject.toml").exists() and checkout.is_dir() else package / "_sweeps"
+
+
+def card_names() -> list[str]:
+    """Names of the cards that come with the software."""
+    return sorted(path.stem for path in cards_folder().glob("*.py") if not path.stem.startswith("_"))
+
+
+def load_card(path: Path) -> ModuleType:
+    """Import a card from its file, without putting its name where other packages could meet it.
+
+    Args:
+        path: a Python file with `TITLE` and `run(job)`.
+
+    Returns:
+        The module.
+
+    Raises:
+        InputError: the file is missing, does not import, or is no card.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such sweep file")
+    spec = importlib.util.spec_from_file_location(f"ovibjax._cards.{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"{path}: does not import: {type(error).__name__}: {error}") from error
+    for name in ("TITLE", "run"):
+        if not hasattr(module, name):
+            raise InputError(f"{path}: a sweep file defines TITLE and run(job); {name} is missing")
+    return module
+
+
+def load_features(data: Path | None, backbone: str, preset: str) -> tuple[FeatureSet, str]:
+    """The data of a run: somebody's feature set, or the embedded town.
+
+    Args:
+        data: a feature set (`.npz` or folder), or None for the embedded town.
+        backbone: name of the image backbone for the embedded town.
+        preset: the smoke preset takes a short drive.
+
+    Returns:
+        The feature set, and where it is from.
+
+    Raises:
+        InputError: unreadable data, fewer than 200 frames, or an unknown backbone.
+    """
+    if backbone != "embedded":
+        raise InputError(f"backbone {backbone!r} is not available; this version has: embedded")
+    if data is not None:
+        with progress_bar(f"reading {data.name}", 1) as update:
+            features = load(data, on_frame=lambda done, total: update(done // total))
+        require_frames(features, source=str(data))
+        return features, str(data)
+    frames = _SMOKE_FRAMES if preset == "smoke" else PAPER_FRAMES
+    with progress_bar(f"rendering {frames} frames x 5 views", frames) as update:
+        return town_features(TownConfig(), frames, on_frames=lambda done, _: update(done)), "embedded"
+
+
+def reproduce(
+    preset: str = "quick",
+    only: Sequence[str] = (),
+    out: Path = Path("results"),
+    data: Path | None = None,
+    backbone: str = "embedded",
+    seed: int = 0,
+    sweep: Path | None = None,
+    rank: int | None = 64,
+) -> Path:
+    """Run cards and write their figures, tables and claims.
+
+    Args:
+        preset: smoke, quick or full.
+        only: names of the cards to run; all if empty.
+        out: results folder.
+        data: a feature set of somebody else's.
+        backbone: image backbone for the embedded town.
+        seed: first seed.
+        sweep: a card of the user's own, run instead.
+        rank: coordinates kept per view; None keeps all.
+
+    Returns:
+        The results page.
+
+    Raises:
+        InputError: bad options or data.
+        Interrupted: Ctrl-C.
+    """
+    if preset not in PRESETS:
+        raise InputError(f"preset {preset!r} is not one of {', '.join(PRESETS)}")
+    if seed < 0:
+        raise InputError(f"seed {seed} is negative; seeds are 0, 1, 2, ...")
+    if rank is not None and rank < 1:
+        raise InputError(f"rank {rank} is not positive; give the coordinates kept per view, or 0 for all")
+    for name in only:
+        if name not in card_names():
+            raise InputError(f"no figure is called {name!r}; there are: {', '.join(card_names())}")
+    paths = [sweep] if sweep is not None else [cards_folder() / f"{name}.py" for name in (only or card_names())]
+    cards = [load_card(path) for path in paths]
+    _check_writable(out)
+    try:
+        features, source = load_features(data, backbone, preset)
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted while reading the data; nothing was written") from None
+    for path, card in zip(paths, cards, strict=True):
+        started = time.perf_counter()
+        folder = out / path.stem
+        folder.mkdir(exist_ok=True)
+        console.print(f"[bold]{card.TITLE}[/bold] ({preset} preset) -> {folder}")
+        job = Job(path.stem, preset, folder, seed, features, source, rank)
+        try:
+            card.run(job)
+        except KeyboardInterrupt:
+            _drop_if_empty(folder)
+            raise Interrupted(f"interrupted in {path.stem}; finished figures are in {out}") from None
+        console.print(f"{path.stem}: {time.perf_counter() - started:.0f} s")
+        write_page(out)
+    return out / "README.md"
+
+
+def _check_writable(out: Path) -> None:
+    """Fail before the work, not after it."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".write-test"
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"{out}: cannot write there ({error.strerror}); choose another folder with --out") from error
+
+
+def _drop_if_empty(folder: Path) -> None:
+    if folder.is_dir() and not any(folder.iterdir()):
+        shutil.rmtree(folder)

@@ -1,0 +1,38 @@
+"""Independent work on all cores: XLA keeps one core busy per small program and leaves the rest idle."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from typing import TypeVar
+
+import jax
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def workers() -> int:
+    """Programs worth running at a time: one per core on a CPU, one on an accelerator."""
+    return min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
+
+
+def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Results of a function over items, in the order in which they are finished.
+
+    Args:
+        function: called once per item, in threads.
+        items: started in this order.
+
+    Yields:
+        Results. Leaving the loop (Ctrl-C, an error) drops the items that have not started.
+    """
+    pool = ThreadPoolExecutor(max_workers=workers())
+    pending: set[Future[Result]] = {pool.submit(function, item) for item in items}
+    try:
+        while pending:
+            # A short wait, so that Ctrl-C is noticed between results.
+            done, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,474 @@
+"""Fig. "Scalable O-VIB compression" and Table "Deployment overhead": one nested encoder against its rivals."""
+
+import csv
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+
+from ovibjax.edge.evaluate import Judged, one_standard_error_choice
+from ovibjax.edge.methods import (
+    FIXED,
+    LATENT,
+    SPARSE_PREFIXES,
+    TRAINED,
+    Effort,
+    Outcome,
+    prefixes_of,
+    run_method,
+)
+from ovibjax.encoder.model import Architecture, encode, parameter_bytes
+from ovibjax.encoder.prepare import Member, prepare
+from ovibjax.link.latency import (
+    JETSON,
+    LatencyProfile,
+    compute_ms_at,
+    kbytes_per_s,
+    measure_host,
+    semantic_latency_ms,
+    transmit_s,
+)
+from ovibjax.link.payload import representation_bytes
+from ovibjax.progress import progress_bar
+from ovibjax.report import figures as fig
+from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, above, below, interval, write_claims
+from ovibjax.report.provenance import provenance
+from ovibjax.reproduce import Interrupted, Job
+from ovibjax.threads import in_threads
+
+TITLE = "Scalable O-VIB compression"
+LINK_KB_PER_S = 8
+SEEDS = {"smoke": 2, "quick": 3, "full": 3}
+EFFORTS = {
+    "smoke": Effort(steps=60, fixed_steps=30, lr=3e-3),
+    "quick": Effort(steps=2200, fixed_steps=800, lr=3e-3),
+    "full": Effort(steps=8000, fixed_steps=4000, lr=2e-3),
+}
+PAPER_LATENCY_MS = {16: 42.0, 35: 52.0, 32: 50.4, 128: 100.6}
+PAPER_CODECS_S = {"WebP": 2.92, "H.265": 3.61, "JPEG": 4.58, "H.264": 5.04}
+NAMES = {"ovib": "O-VIB", "vib": "VIB", "fixed": "fixed-rate", "pca": "PCA", "raw": "raw features"}
+COLOURS = {"ovib": fig.BLUE, "vib": fig.SKY, "fixed": fig.ORANGE, "pca": fig.RED, "raw": fig.GREY}
+
+
+@dataclass(frozen=True)
+class Results:
+    """Outcomes of the finished seeds, and what they lead to.
+
+    Attributes:
+        judged: per method, one `Judged` per seed.
+        recoded: the same with the database passed through the code.
+        raw_mode_m: per view mode, mean raw error per seed.
+        outcomes: per seed, the trained methods.
+        raw_floats: floats of an uncompressed frame.
+        chosen: prefix selected on validation.
+    """
+
+    judged: dict[str, list[Judged]]
+    recoded: dict[str, list[Judged]]
+    raw_mode_m: dict[str, np.ndarray]
+    outcomes: dict[int, dict[str, Outcome]]
+    raw_floats: int
+    chosen: int
+
+    def mean_m(self, method: str) -> np.ndarray:
+        """[seeds, prefixes] mean test errors."""
+        return np.stack([judged.test_error_m.mean(axis=1) for judged in self.judged[method]])
+
+    def at(self, method: str, k: int, recoded: bool = False) -> np.ndarray:
+        """[seeds] mean test error at one prefix."""
+        index = int(np.flatnonzero(prefixes_of("pca" if recoded else method) == k)[0])
+        judged = (self.recoded if recoded else self.judged)[method]
+        return np.array([j.test_error_m[index].mean() for j in judged])
+
+    def payload_bytes(self, method: str, k: int) -> int:
+        """Bytes of one representation: header and prefix, or raw float32 features."""
+        return 4 * self.raw_floats if method == "raw" else representation_bytes(k)
+
+
+def run(job: Job) -> None:
+    """Run the card: train, judge, write table, overhead, claims and figure."""
+    started = time.perf_counter()
+    effort = EFFORTS[job.preset]
+    seeds = [job.seed + i for i in range(SEEDS[job.preset])]
+    prepared = {seed: prepare(job.features, seed, job.rank) for seed in seeds}
+    tasks = [(seed, method) for seed in seeds for method in TRAINED]
+    finished: dict[int, dict[str, Outcome]] = {seed: {} for seed in seeds}
+
+    def work(task: tuple[int, str]) -> tuple[int, str, Outcome]:
+        seed, method = task
+        return seed, method, run_method(method, seed, prepared[seed][0], effort)
+
+    interrupted = False
+    try:
+        with progress_bar("training and judging", len(tasks)) as update:
+            update(0)
+            for done, (seed, method, outcome) in enumerate(in_threads(work, tasks), start=1):
+                finished[seed][method] = outcome
+                update(done)
+    except KeyboardInterrupt:
+        interrupted = True
+    finished = {seed: outcomes for seed, outcomes in finished.items() if len(outcomes) == len(TRAINED)}
+    if not finished:
+        raise KeyboardInterrupt
+    member, basis = prepared[next(iter(finished))]
+    results = collect(finished, raw_floats=int(np.prod(job.features.features.shape[1:])))
+    host = measure_encoder(results, member)
+    _write_csv(job.out / "table.csv", table_rows(results))
+    _write_csv(job.out / "overhead.csv", overhead_rows(results, host, 4 * (basis.axes.size + basis.mean.size)))
+    write_claims(job.out / "claims.json", judge_claims(results, job))
+    draw(job.out / "figure.png", results, host)
+    kept = float(np.mean([basis.energy_kept.mean() for _, basis in prepared.values()]))
+    facts = provenance(
+        title=TITLE,
+        caption=caption(results, kept, member.train.x.shape[2]),
+        preset=job.preset + (" (interrupted)" if interrupted else ""),
+        seeds=" ".join(map(str, finished)),
+        data="embedded town" if job.embedded else Path(job.source).name,
+        frames=len(job.features.features),
+        selected_k=results.chosen,
+        view_coordinates=member.train.x.shape[2],
+        energy_kept=round(kept, 4),
+        steps=effort.steps,
+        fixed_steps=effort.fixed_steps,
+        final_losses={
+            m: {k: float(v[-1]) for k, v in o.losses.items()} for m, o in next(iter(finished.values())).items()
+        },
+        seconds=round(time.perf_counter() - started),
+    )
+    (job.out / "provenance.json").write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
+    if interrupted:
+        raise Interrupted(f"interrupted; {job.out} holds the figure of the finished seeds {facts['seeds']}")
+
+
+def collect(outcomes: dict[int, dict[str, Outcome]], raw_floats: int) -> Results:
+    """Regroup outcomes by method and choose the prefix on the validation frames of all seeds together."""
+    per_seed = [{k: v for o in by_method.values() for k, v in o.judged.items()} for by_method in outcomes.values()]
+    judged = {method: [one[method] for one in per_seed] for method in per_seed[0]}
+    ovib = [by_method["ovib"] for by_method in outcomes.values()]
+    val = np.concatenate([j.val_error_m for j in judged["ovib"]], axis=1)
+    return Results(
+        judged=judged,
+        recoded={method: [o.recoded[method] for o in ovib] for method in ("ovib", "pca")},
+        raw_mode_m={mode: np.array([o.raw_mode_m[mode] for o in ovib]) for mode in ovib[0].raw_mode_m},
+        outcomes=outcomes,
+        raw_floats=raw_floats,
+        chosen=int(one_standard_error_choice(jnp.asarray(val), jnp.asarray(prefixes_of("ovib")))),
+    )
+
+
+def measure_encoder(results: Results, member: Member) -> LatencyProfile:
+    """Time to encode one frame on this machine, after feature extraction."""
+    views, dim = member.train.x.shape[1:]
+    arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
+    params = next(iter(results.outcomes.values()))["ovib"].params
+    x = member.test_x[:1].reshape(1, -1)
+    jitted = jax.jit(lambda params, x: encode(params, x, arch)[0])
+    return measure_host(lambda k: np.asarray(jitted(params, x))[:, :k], (16, 32, 35, 128))
+
+
+def table_rows(results: Results) -> list[dict[str, Any]]:
+    """One tidy row per method, prefix and seed."""
+    rows = []
+    for method, per_seed in results.judged.items():
+        ks = [results.raw_floats] if method == "raw" else prefixes_of(method).tolist()
+        for seed, judged in zip(results.outcomes, per_seed, strict=True):
+            for i, k in enumerate(ks):
+                error = judged.test_error_m[i]
+                row = {
+                    "method": "ovib_fixed" if method.startswith("fixed_") else method,
+                    "k": k,
+                    "seed": seed,
+                }
+                row |= {"payload_bytes": results.payload_bytes(method, k), "mean_m": f"{error.mean():.4f}"}
+                rows.append(row | {"p90_m": f"{np.percentile(error, 90):.4f}", "eta": f"{judged.eta[i]:.2f}"})
+    return rows
+
+
+def overhead_rows(results: Results, host: LatencyProfile, basis_bytes: int) -> list[dict[str, Any]]:
+    """The deployment table; storage counts encoder, decoder, localizer head and per-view basis in float32."""
+    networks = next(iter(results.outcomes.values()))
+    size_mb = {m: (parameter_bytes(o.params) + basis_bytes) / 1e6 for m, o in networks.items()}
+
+    def latency(profile: LatencyProfile, k: int) -> float:
+        return float(semantic_latency_ms(profile, k, kbytes_per_s(LINK_KB_PER_S)))
+
+    def row(name: str, paper: str, models: int, storage_mb: float, rates: int, ks: tuple[int, ...]) -> dict[str, Any]:
+        span = ["-".join(f"{latency(profile, k):.1f}" for k in ks) for profile in (JETSON, host)]
+        return {
+            "method": name,
+            "models": models,
+            "storage_mb": f"{storage_mb:.1f}",
+            "rates": rates,
+            "jetson_ms_at_8_kb_per_s": span[0],
+            "paper_ms": paper,
+            "this_host_ms": span[1],
+        }
+
+    small, large = (f"fixed_{k}" for k in FIXED)
+    scalable = size_mb["ovib"]
+    rows = [
+        row("Fixed-rate O-VIB-32", "50.4", 1, size_mb[small], 1, (32,)),
+        row("Fixed-rate O-VIB-128", "100.6", 1, size_mb[large], 1, (128,)),
+        row("Fixed-rate bank {32 128}", "50.4-100.6", 2, size_mb[small] + size_mb[large], 2, FIXED),
+        row("Scalable O-VIB k=35", "52.0", 1, scalable, LATENT, (35,)),
+        row("Scalable O-VIB k=16", "42.0", 1, scalable, LATENT, (16,)),
+    ]
+    if results.chosen not in (16, 35):
+        rows.append(row(f"Scalable O-VIB k={results.chosen} (selected)", "-", 1, scalable, LATENT, (results.chosen,)))
+    return rows
+
+
+def judge_claims(results: Results, job: Job) -> list[Claim]:
+    """The paper's claims and the project's own expectations of the embedded town, by stated rules."""
+    at = {k: interval(results.at("ovib", k)) for k in (16, 35, 128)}
+    pca16 = results.at("pca", 16)
+    ratio = interval(results.at("ovib", 16) / pca16)
+    curve = results.mean_m("ovib").mean(axis=0)[23:]
+    flat = float(curve.max() / curve.min() - 1)
+    shorter = interval(results.at("ovib", 16) / results.at("ovib", 128))
+    claims = [
+        Claim(
+            "A 16-float prefix localizes about as well as all 128: error at k = 16 at most 1.15 of that at k = 128",
+            "9.31 / 10.11 m = 0.92",
+            f"{at[16].text()} / {at[128].text('m')}, ratio {shorter.text()}",
+            below(shorter, 1.15),
+            "interval of the paired ratio at most 1.15",
+        ),
+        Claim(
+            "O-VIB at k = 16 has at most half of PCA's error at k = 16",
+            "-",
+            f"{at[16].text()} m against {interval(pca16).text()} m, ratio {ratio.text()}",
+            below(ratio, 0.5),
+            "interval of the paired ratio at most 0.5",
+        ),
+    ]
+    best_pca = min(SPARSE_PREFIXES, key=lambda k: results.at("pca", k).mean())
+    crossing = [k for k in SPARSE_PREFIXES if results.at("pca", k).mean() < results.at("ovib", k).mean()]
+    claims.append(
+        Claim(
+            "At every payload O-VIB is at least as accurate as PCA",
+            "-",
+            f"O-VIB is ahead up to k = {max((k for k in SPARSE_PREFIXES if k not in crossing), default=0)}; PCA reaches "
+            f"{interval(results.at('pca', best_pca)).text('m')} at k = {best_pca}",
+            NOT_HELD if crossing else HELD,
+            "no prefix at which PCA's mean error is lower",
+        )
+    )
+    recoded = [interval(results.at(m, 16, recoded=True)) for m in ("ovib", "pca")]
+    claims.append(
+        Claim(
+            "What a re-coded database changes: references passed through the same code and prefix as the query, k = 16",
+            "-",
+            f"O-VIB {recoded[0].text('m')}, PCA {recoded[1].text('m')}",
+            REPORTED,
+            "not part of the frozen-localizer protocol",
+        )
+    )
+    difference = interval(results.at("vib", 35) - results.at("ovib", 35))
+    claims.append(
+        Claim(
+            "Orthogonality helps: O-VIB below plain VIB at k = 35 (paired over seeds)",
+            "9.30 - 8.75 = 0.55 m",
+            f"VIB minus O-VIB {difference.text('m')}",
+            above(difference, 0.0),
+            "interval of the paired difference above zero",
+        )
+    )
+    for k in FIXED:
+        gap = interval(results.at("ovib", k) - results.at(f"fixed_{k}", k))
+        claims.append(
+            Claim(
+                f"One scalable model replaces the fixed-rate model of K = {k}: at most 1 m worse at the same payload",
+                "-",
+                f"O-VIB minus fixed-rate {gap.text('m')}",
+                below(gap, 1.0),
+                "interval of the paired difference at most 1 m",
+            )
+        )
+    span = [float(semantic_latency_ms(JETSON, k, kbytes_per_s(LINK_KB_PER_S))) for k in PAPER_LATENCY_MS]
+    paper = list(PAPER_LATENCY_MS.values())
+    claims.append(
+        Claim(
+            "Latency at 8 KB/s under the Jetson profile (k = 16, 35, 32, 128)",
+            " / ".join(map(str, paper)) + " ms",
+            " / ".join(f"{ms:.1f}" for ms in span) + " ms",
+            HELD if max(abs(a - b) for a, b in zip(span, paper, strict=True)) <= 0.1 else NOT_HELD,
+            "each within 0.1 ms",
+        )
+    )
+    if not job.embedded:
+        return claims
+    front = interval(results.raw_mode_m["F"] / results.raw_mode_m["FS"])
+    expected = "expectation of the embedded town"
+    return [
+        *claims,
+        Claim("Error at k = 16 at most 6 m", "9.31 m", at[16].text("m"), below(at[16], 6.0), expected),
+        Claim("Error at k = 35 at most 6 m", "9.18 m", at[35].text("m"), below(at[35], 6.0), expected),
+        Claim(
+            "The error curve is flat within 15 % from k = 24 to 128",
+            "9.18 to 10.11 m",
+            f"{curve.min():.2f} to {curve.max():.2f} m, {100 * flat:.0f} %",
+            HELD if flat <= 0.15 else NOT_HELD,
+            "largest over smallest mean error over seeds",
+        ),
+        Claim(
+            "Validation selects a prefix between 12 and 48",
+            "k = 35",
+            f"k = {results.chosen}",
+            HELD if 12 <= results.chosen <= 48 else NOT_HELD,
+            "shortest prefix within one standard error of the best, all seeds together",
+        ),
+        Claim(
+            "Front-only has at least 3 times the error of front-plus-sides on raw features",
+            "-",
+            f"{interval(results.raw_mode_m['F']).text()} m / {interval(results.raw_mode_m['FS']).text()} m, ratio {front.text()}",
+            above(front, 3.0),
+            "interval of the paired ratio at least 3",
+        ),
+    ]
+
+
+def caption(results: Results, energy_kept: float, view_dim: int) -> str:
+    """What the reader of the figure needs to know."""
+    return (
+        f"(a) One trained model at every prefix k; selected on validation: k = {results.chosen}. (b) Serialized payload "
+        "against error. (c) Errors per test frame of all seeds; box: quartiles, whiskers: 5th and 95th percentile, "
+        "diamond: mean, red tick: 90th percentile. (d) Encoding after feature extraction (Jetson Orin NX profile of the "
+        f"paper) plus transmission at {LINK_KB_PER_S} KB/s. Bands are 95 % intervals over {len(results.outcomes)} seeds "
+        f"(split, initialisation, minibatches). The database holds uncompressed reference descriptors (frozen localizer). "
+        f"{view_dim} principal coordinates per view keep {100 * energy_kept:.0f} % of the feature variance."
+    )
+
+
+def draw(path: Path, results: Results, host: LatencyProfile) -> None:
+    """The four panels."""
+    with mpl.rc_context(fig.style()):
+        figure, axes = fig.panels(2, 2, height_in=2.3)
+        _draw_prefixes(axes[0], results)
+        _draw_frontier(axes[1], results)
+        _draw_frames(axes[2], results)
+        _draw_latency(axes[3], results, host)
+        fig.save_figure(figure, path)
+
+
+def _draw_prefixes(ax: Axes, results: Results) -> None:
+    k = prefixes_of("ovib")
+    curves = results.mean_m("ovib")
+    fig.band(ax, k, curves, COLOURS["ovib"], "O-VIB, one model")
+    sparse = np.array(SPARSE_PREFIXES)
+    fig.band(ax, sparse, results.mean_m("vib"), COLOURS["vib"], "VIB (no orthogonality)", style="--")
+    raw = float(results.mean_m("raw").mean())
+    ax.axhline(raw, color=fig.GREY, lw=1, ls=":")
+    ax.text(
+        128, raw * 1.06, f"raw features (10 KB): {raw:.1f} m", ha="right", va="bottom", color="#555555", fontsize=6.5
+    )
+    chosen = float(curves[:, results.chosen - 1].mean())
+    ax.plot(results.chosen, chosen, "*", ms=10, color=fig.RED, zorder=5)
+    ax.annotate(
+        f"selected k = {results.chosen}\n{chosen:.1f} m, {representation_bytes(results.chosen)} B",
+        *((results.chosen, chosen), (results.chosen + 8, chosen * 2.2)),
+        arrowprops={"arrowstyle": "-", "lw": 0.6},
+    )
+    ax.set(xlabel="prefix length k (floats)", ylabel="mean error (m)", yscale="log", xlim=(0, 129))
+    fig.plain_log_ticks(ax.yaxis)
+    ax.legend(loc="upper right")
+    fig.title(ax, "a", "every rate from one model")
+
+
+def _draw_frontier(ax: Axes, results: Results) -> None:
+    def kib(method: str, ks: np.ndarray) -> np.ndarray:
+        return np.array([results.payload_bytes(method, int(k)) for k in ks]) / 1024
+
+    for method, marker in (("pca", "s"), ("vib", ""), ("ovib", "")):
+        ks = prefixes_of(method)
+        keep = ks >= 4
+        fig.band(
+            ax,
+            kib(method, ks[keep]),
+            results.mean_m(method)[:, keep],
+            COLOURS[method],
+            NAMES[method],
+            marker=marker,
+        )
+    bank = np.concatenate([results.mean_m(f"fixed_{k}") for k in FIXED], axis=1)
+    mean, half = fig.mean_and_half(bank)
+    x = kib("fixed", np.array(FIXED))
+    ax.errorbar(x, mean, half, fmt="D", ms=4, color=COLOURS["fixed"], label="fixed-rate O-VIB", capsize=2, lw=1)
+    raw_kib = results.payload_bytes("raw", 0) / 1024
+    ax.plot(raw_kib, results.mean_m("raw").mean(), "X", ms=6, color=COLOURS["raw"], label="raw features")
+    ax.set(xlabel="payload (KB)", ylabel="mean error (m)", xscale="log", yscale="log")
+    fig.plain_log_ticks(ax.yaxis)
+    fig.plain_log_ticks(ax.xaxis)
+    ax.legend(loc="upper right")
+    fig.title(ax, "b", "payload and error")
+
+
+def _draw_frames(ax: Axes, results: Results) -> None:
+    groups: list[tuple[str, str, np.ndarray]] = []
+    for label, method, k in (
+        *((f"O-VIB k={results.chosen}", "ovib", results.chosen), ("O-VIB k=16", "ovib", 16)),
+        *((f"fixed-rate K={k}", f"fixed_{k}", k) for k in FIXED),
+        *(("VIB k=16", "vib", 16), ("PCA k=16", "pca", 16), ("PCA k=35", "pca", 35), ("raw", "raw", None)),
+    ):
+        index = 0 if k is None else int(np.flatnonzero(prefixes_of(method) == k)[0])
+        errors = np.concatenate([judged.test_error_m[index] for judged in results.judged[method]])
+        groups.append((label, COLOURS[method.split("_")[0]], errors))
+    fig.error_boxes(ax, groups)
+    ax.set(xlabel="error per test frame (m)")
+    fig.title(ax, "c", "errors per frame")
+
+
+def _draw_latency(ax: Axes, results: Results, host: LatencyProfile) -> None:
+    rate = kbytes_per_s(LINK_KB_PER_S)
+    rows = [(f"O-VIB k={k}", k, PAPER_LATENCY_MS.get(k)) for k in sorted({16, 35, results.chosen})]
+    rows += [(f"fixed-rate K={k}", k, PAPER_LATENCY_MS[k]) for k in FIXED]
+    labels = [name for name, _, _ in rows] + ["raw features"]
+    compute = [float(compute_ms_at(JETSON, k)) for _, k, _ in rows] + [0.0]
+    sent = [1e3 * float(transmit_s(representation_bytes(k), rate)) for _, k, _ in rows]
+    sent.append(1e3 * float(transmit_s(results.payload_bytes("raw", 0), rate)))
+    y = np.arange(len(labels))
+    ax.barh(y, compute, color=fig.ORANGE, height=0.6, label="encode (Jetson)")
+    ax.barh(y, sent, left=compute, color=fig.BLUE, height=0.6, label="transmit")
+    marks = [(ms, i) for i, (_, _, ms) in enumerate(rows) if ms is not None]
+    ax.plot(*zip(*marks, strict=True), "|", ms=11, mew=1.6, color="black", label="paper")
+    for i, total in enumerate(np.add(compute, sent)):
+        ax.text(
+            total * 1.06,
+            i,
+            f"{total:.0f} ms" if total < 1000 else f"{total / 1000:.2f} s",
+            va="center",
+            fontsize=6.5,
+        )
+    for name, seconds in PAPER_CODECS_S.items():
+        ax.plot(seconds * 1e3, len(labels), "|", ms=8, mew=1.6, color="black")
+        if name in ("WebP", "H.264"):
+            ha = "right" if name == "WebP" else "left"
+            ax.text(
+                seconds * 1e3 * (0.93 if ha == "right" else 1.07),
+                len(labels),
+                name,
+                ha=ha,
+                va="center",
+                fontsize=6.5,
+            )
+    ax.set_yticks([*y, len(labels)], [*labels, "image codecs (paper)"])
+    ax.set(xlabel=f"latency at {LINK_KB_PER_S} KB/s (ms)", xscale="log", xlim=(8, 2e4))
+    ax.invert_yaxis()
+    ax.grid(visible=False, axis="y")
+    ax.legend(loc="upper right")
+    fig.plain_log_ticks(ax.xaxis, subs=(1.0,))
+    fig.title(ax, "d", "latency after feature extraction")
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)

@@ -1,0 +1,403 @@
+"""Training as a pure function: sampling, optimizer, and one program for a grid."""
+
+import functools
+import logging
+import math
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from scipy import stats
+
+from ovibjax.encoder.loss import Hypers, make_hypers
+from ovibjax.encoder.model import OVIB
+from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig, TrainData, fit, make_optimizer, sample_batch
+from ovibjax.views import mask_table
+from tests.encoder.test_model import UAV, UGV
+from tests.oracles import encoder as oracle
+
+TERMS = ["loss", "reconstruction", "localization", "rate", "orthogonality"]
+SHORT = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=5, batch=64, warmup=1)
+
+
+@functools.cache
+def make_data(n_views=5, n=64, seed=0):
+    """A plane curve seen through every view: position and features share three factors."""
+    rng = np.random.default_rng(seed)
+    y = rng.normal(size=(n, 3)).astype(np.float32)
+    x = np.tanh(np.einsum("nk,kmr->nmr", y, rng.normal(size=(3, n_views, 6))))
+    x = (x - x.mean(axis=0)) / x.std()
+    return TrainData(jnp.array(x, jnp.float32), jnp.array(y), mask_table(n_views))
+
+
+def stack(*hypers):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *hypers)
+
+
+def lane(tree, *index):
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def assert_trees_equal(a, b):
+    chex.assert_trees_all_equal(jax.device_get(a), jax.device_get(b))
+
+
+def assert_trees_close(a, b, rtol, atol):
+    chex.assert_trees_all_close(jax.device_get(a), jax.device_get(b), rtol=rtol, atol=atol)
+
+
+train = jax.jit(fit, static_argnums=3)
+
+
+@functools.partial(jax.jit, static_argnums=3)
+def train_grid(keys, hypers, data, static):
+    """[seeds, members]."""
+    over_hypers = jax.vmap(fit, in_axes=(None, 0, None, None))
+    return jax.vmap(over_hypers, in_axes=(0, None, None, None))(keys, hypers, data, static)
+
+
+GRID = [
+    make_hypers(),
+    make_hypers(),
+    make_hypers(beta=0.5, gamma=3.0),
+    make_hypers(alpha=5.0, lr=1e-2, weight_decay=0.1),
+    make_hypers(lr=0.0),
+    make_hypers(lr=0.0, beta=0.7, gamma=9.0, weight_decay=0.5),
+]
+
+
+@functools.cache
+def short_grid():
+    """Two seeds by six members, a few steps."""
+    return jax.device_get(train_grid(jax.random.split(jax.random.key(3), 2), stack(*GRID), make_data(), SHORT))
+
+
+# ---- sampling ----
+
+
+def draw(key, static, data, size):
+    return sample_batch(jax.random.key(key), jnp.arange(size) % data.x.shape[0], data, static)
+
+
+@pytest.mark.parametrize(("n_views", "prefixes"), [(5, (1, 3, 4, 8)), (4, (2, 8)), (5, (8,))])
+def test_modes_and_prefixes_are_uniform_and_independent(n_views, prefixes):
+    data = make_data(n_views)
+    static = TrainConfig(arch=UAV if n_views == 5 else UGV, prefixes=prefixes)
+    batch = draw(7, static, data, 40_000)
+    modes = np.asarray(mask_table(n_views))
+    drawn_mode = (np.asarray(batch.view_mask)[:, None] == modes[None]).all(axis=2)
+    np.testing.assert_array_equal(drawn_mode.sum(axis=1), 1)
+    masks = np.stack([oracle.prefix_mask(k, 8) for k in prefixes])
+    drawn_prefix = (np.asarray(batch.prefix_mask)[:, None] == masks[None]).all(axis=2)
+    np.testing.assert_array_equal(drawn_prefix.sum(axis=1), 1)
+    table = drawn_mode.T.astype(int) @ drawn_prefix
+    assert table.shape == (len(modes), len(prefixes)) and table.sum() == 40_000
+    # Uniform over the product: both margins and their independence at once.
+    assert stats.chisquare(table.ravel()).pvalue > 1e-3
+
+
+def test_a_biased_sampler_would_be_noticed():
+    counts = np.full(16, 2500.0)
+    counts[3] *= 1.15
+    assert stats.chisquare(counts, np.full(16, counts.mean())).pvalue < 1e-3
+
+
+def test_noise_is_standard_normal_and_fresh_for_each_coordinate():
+    batch = draw(1, SHORT, make_data(), 10_000)
+    noise = np.asarray(batch.noise, np.float64)
+    assert noise.shape == (10_000, 8) and batch.noise.dtype == jnp.float32
+    assert stats.kstest(noise.ravel(), "norm").pvalue > 1e-3
+    np.testing.assert_allclose(np.corrcoef(noise.T), np.eye(8), atol=0.05)
+    lengths = np.asarray(batch.prefix_mask).sum(axis=1)
+    assert abs(np.corrcoef(lengths, noise[:, 0])[0, 1]) < 0.05
+
+
+def test_rows_and_masks_belong_to_the_index():
+    data, index = make_data(), jnp.array([5, 5, 0, 63, 17])
+    batch = jax.jit(sample_batch, static_argnums=3)(jax.random.key(0), index, data, SHORT)
+    np.testing.assert_array_equal(batch.x, np.asarray(data.x)[np.asarray(index)])
+    np.testing.assert_array_equal(batch.y, np.asarray(data.y)[np.asarray(index)])
+    shapes = [(5, 5, 6), (5, 3), (5, 5), (5, 8), (5, 8)]
+    assert [leaf.shape for leaf in batch] == shapes
+    assert all(leaf.dtype == jnp.float32 for leaf in batch)
+
+
+def test_a_batch_is_a_function_of_its_key_and_row_numbers():
+    data = make_data()
+    batch = draw(4, SHORT, data, 64)
+    assert_trees_equal(batch, draw(4, SHORT, data, 64))
+    other = draw(5, SHORT, data, 64)
+    for name in ("view_mask", "prefix_mask", "noise"):
+        assert not np.array_equal(getattr(batch, name), getattr(other, name))
+    # Masks and noise ignore what the rows hold.
+    blank = draw(4, SHORT, data._replace(x=data.x * 0, y=data.y * 0), 64)
+    for name in ("view_mask", "prefix_mask", "noise"):
+        np.testing.assert_array_equal(getattr(batch, name), getattr(blank, name))
+
+
+def visited_rows(metrics, per_epoch):
+    """Rows each epoch visited: row i has |y|^2 = 2^i and, with no view sent, the regressed position is zero."""
+    sums = np.asarray(metrics["localization"], np.float64) * per_epoch
+    return [frozenset(i for i in range(64) if (round(total) >> i) & 1) for total in sums]
+
+
+@functools.cache
+def blind_epochs(n, batch, steps, seed):
+    y = np.array([[2.0 ** (i // 2), 2.0 ** (i // 2) if i % 2 else 0.0, 0.0] for i in range(n)], np.float32)
+    data = TrainData(make_data().x[:n], jnp.array(y), jnp.zeros((1, 5), jnp.float32))
+    static = TrainConfig(arch=UAV, prefixes=(8,), steps=steps, batch=batch, warmup=1)
+    hypers = stack(make_hypers(lr=0.0), make_hypers(lr=0.0, beta=3.0, gamma=2.0))
+    params, metrics = train_grid(jax.random.key(seed)[None], hypers, data, static)
+    position = OVIB(UAV).apply(lane(params, 0, 0), jnp.zeros((1, 30), jnp.float32), method="locate")
+    np.testing.assert_array_equal(position, 0.0)
+    return lane(metrics, 0, 0), lane(metrics, 0, 1)
+
+
+def test_an_epoch_visits_every_row_at_most_once_in_a_fresh_order():
+    ours, other = (visited_rows(metrics, 8) for metrics in blind_epochs(10, 4, 24, 0))
+    # 10 rows in batches of 4: 8 distinct rows in each of 24 / 2 epochs.
+    assert len(ours) == 12 and all(len(rows) == 8 for rows in ours)
+    assert len(set(ours)) > 6
+    assert frozenset.union(*ours) == frozenset(range(10))
+    # The order follows the seed alone.
+    assert ours == other
+    again, _ = (visited_rows(metrics, 8) for metrics in blind_epochs(10, 4, 24, 1))
+    assert again != ours
+
+
+def test_a_whole_number_of_batches_visits_every_row_once():
+    for metrics in blind_epochs(12, 4, 7, 0):
+        assert visited_rows(metrics, 12) == [frozenset(range(12))] * 3
+
+
+# ---- optimizer ----
+
+
+@pytest.mark.parametrize("weight_decay", [0.0, 0.3])
+def test_the_optimizer_is_adamw_with_warm_up_and_cosine(weight_decay):
+    total, warmup, peak = 20, 3, 0.05
+    rng = np.random.default_rng(0)
+    params = {"a": rng.normal(size=(3, 4)).astype(np.float32), "b": rng.normal(size=5).astype(np.float32)}
+    grads = {k: (rng.normal(size=(total, *v.shape)) * 10 ** rng.uniform(-3, 2)).astype("f") for k, v in params.items()}
+    static = TrainConfig(arch=UAV, warmup=warmup)
+    hypers = make_hypers(lr=peak, weight_decay=weight_decay)
+    optimizer = make_optimizer(hypers, static, total)
+    state, path, current = optimizer.init(jax.tree.map(jnp.array, params)), [], jax.tree.map(jnp.array, params)
+    update = jax.jit(optimizer.update)
+    for step in range(total):
+        updates, state = update(jax.tree.map(lambda g, step=step: jnp.array(g[step]), grads), state, current)
+        current = optax.apply_updates(current, updates)
+        path.append(current)
+    rates = [oracle.learning_rate(step, peak, warmup, total) for step in range(total)]
+    assert max(rates) == peak == rates[2] and rates[0] == peak / 3 and rates[-1] < peak / 50
+    for name in params:
+        for step, theirs in enumerate(oracle.adamw(params[name], grads[name], rates, weight_decay)):
+            np.testing.assert_allclose(path[step][name], theirs, rtol=2e-4, atol=2e-6, err_msg=f"step {step}")
+
+
+def test_warm_up_never_takes_more_than_a_fifth_of_a_short_run():
+    hypers, params = make_hypers(lr=1.0, weight_decay=0.0), jnp.zeros(1)
+    sizes = []
+    optimizer = make_optimizer(hypers, TrainConfig(arch=UAV, warmup=200), 10)
+    state = optimizer.init(params)
+    for _ in range(10):
+        # With a constant gradient an Adam step has the length of the learning rate.
+        updates, state = optimizer.update(jnp.ones(1), state, params)
+        sizes.append(-float(updates[0]))
+    np.testing.assert_allclose(sizes, [oracle.learning_rate(i, 1.0, 2, 10) for i in range(10)], rtol=1e-4, atol=1e-5)
+
+
+def test_the_first_step_moves_each_parameter_by_the_learning_rate():
+    static = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=1, batch=64, warmup=1)
+    hypers = stack(make_hypers(lr=0.0), make_hypers(lr=1e-3, weight_decay=0.0), make_hypers(lr=1e-3, weight_decay=2.0))
+    params, _ = train_grid(jax.random.key(0)[None], hypers, make_data(), static)
+    start, plain, decayed = (lane(params, 0, i) for i in range(3))
+    moved = np.concatenate([np.ravel(b - a) for a, b in zip(*map(jax.tree.leaves, (start, plain)), strict=True)])
+    assert np.abs(moved).max() < 1.01e-3 and np.mean(np.abs(moved) > 0.98e-3) > 0.95
+    shrunk = jax.tree.map(lambda a, b: b - np.float32(2e-3) * a, start, plain)
+    assert_trees_close(decayed, shrunk, rtol=1e-4, atol=1e-6)
+
+
+# ---- fit ----
+
+
+@pytest.mark.parametrize("n_views", [5, 4])
+@pytest.mark.parametrize("prior", ["gaussian", "ard"])
+def test_training_lowers_the_loss(n_views, prior):
+    static = TrainConfig(
+        arch=UAV if n_views == 5 else UGV, prefixes=(2, 5, 8), prior=prior, steps=400, batch=32, warmup=20
+    )
+    params, metrics = train(jax.random.key(0), make_hypers(lr=1e-2), make_data(n_views), static)
+    assert sorted(metrics) == sorted(TERMS)
+    # 64 rows in batches of 32: two steps an epoch.
+    for name in TERMS:
+        assert metrics[name].shape == (200,) and metrics[name].dtype == jnp.float32
+        assert np.all(np.isfinite(metrics[name]))
+    for name in ("loss", "reconstruction", "localization"):
+        assert np.mean(metrics[name][-20:]) < 0.6 * metrics[name][0], name
+    total = metrics["reconstruction"] + metrics["localization"]
+    total = total + 1e-3 * metrics["rate"] + 0.1 * metrics["orthogonality"]
+    np.testing.assert_allclose(metrics["loss"], total, rtol=1e-4)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(params))
+
+
+@pytest.mark.parametrize(("n", "batch", "steps", "epochs"), [(10, 128, 5, 5), (10, 4, 5, 3), (10, 10, 1, 1)])
+def test_steps_are_rounded_up_to_whole_epochs_and_few_rows_make_a_small_batch(n, batch, steps, epochs):
+    static = TrainConfig(arch=UAV, prefixes=(8,), steps=steps, batch=batch)
+    shapes = jax.eval_shape(functools.partial(fit, static=static), jax.random.key(0), make_hypers(), make_data(n=n))
+    assert {name: leaf.shape for name, leaf in shapes[1].items()} == {name: (epochs,) for name in TERMS}
+
+
+def test_fewer_rows_than_a_batch_train():
+    static = TrainConfig(arch=UAV, prefixes=(2, 8), steps=5, batch=128)
+    _, metrics = train(jax.random.key(0), make_hypers(), make_data(n=10), static)
+    assert metrics["loss"].shape == (5,) and np.all(np.isfinite(metrics["loss"]))
+
+
+def test_a_run_is_a_function_of_its_key():
+    data = make_data()
+    first = train(jax.random.key(11), make_hypers(), data, SHORT)
+    assert_trees_equal(first, train(jax.random.key(11), make_hypers(), data, SHORT))
+    other = train(jax.random.key(12), make_hypers(), data, SHORT)
+    assert np.all(first[1]["loss"] != other[1]["loss"])
+    for a, b in zip(jax.tree.leaves(first[0]), jax.tree.leaves(other[0]), strict=True):
+        assert not np.array_equal(a, b)
+
+
+@pytest.mark.parametrize(("seed", "member"), [(0, 0), (0, 2), (1, 3), (1, 5)])
+def test_a_member_alone_equals_its_lane_of_the_grid(seed, member):
+    params, metrics = short_grid()
+    key = jax.random.split(jax.random.key(3), 2)[seed]
+    alone_params, alone_metrics = train(key, GRID[member], make_data(), SHORT)
+    for name in TERMS:
+        assert metrics[name].shape == (2, 6, 5)
+        np.testing.assert_allclose(metrics[name][seed, member], alone_metrics[name], rtol=1e-4, err_msg=name)
+    # Adam divides a gradient by its size, so a gradient of rounding noise may turn a step around.
+    atol = 1e-2 * max(float(GRID[member].lr), 1e-4)
+    far = [
+        np.mean(np.abs(a - b) > atol + 1e-4 * np.abs(b))
+        for a, b in zip(*map(jax.tree.leaves, (lane(params, seed, member), alone_params)), strict=True)
+    ]
+    assert np.mean(far) < 0.01
+
+
+def test_vmap_over_keys_alone_equals_the_grid():
+    keys = jax.random.split(jax.random.key(3), 2)
+    over_keys = jax.jit(jax.vmap(fit, in_axes=(0, None, None, None)), static_argnums=3)
+    _, metrics = over_keys(keys, GRID[2], make_data(), SHORT)
+    for name in TERMS:
+        np.testing.assert_allclose(metrics[name], short_grid()[1][name][:, 2], rtol=1e-4, err_msg=name)
+
+
+def test_lanes_differ():
+    _, metrics = short_grid()
+    last = metrics["loss"][:, :, -1]
+    # Members 0 and 1 have equal hyperparameters; all others and both seeds are apart.
+    assert len({round(float(value), 5) for value in last[:, 1:].ravel()}) == 10
+    assert np.all(metrics["loss"][0, 0] != metrics["loss"][1, 0])
+
+
+def test_equal_hyperparameters_and_key_are_equal_to_the_bit():
+    params, metrics = short_grid()
+    for seed in range(2):
+        assert_trees_equal(lane(params, seed, 0), lane(params, seed, 1))
+        assert_trees_equal(lane(metrics, seed, 0), lane(metrics, seed, 1))
+
+
+def test_members_of_a_seed_see_the_same_rows_masks_and_noise():
+    params, metrics = short_grid()
+    for seed in range(2):
+        # A learning rate of zero stops the parameters, whatever the other weights.
+        assert_trees_equal(lane(params, seed, 4), lane(params, seed, 5))
+        for name in ("reconstruction", "localization", "rate", "orthogonality"):
+            np.testing.assert_array_equal(metrics[name][seed, 4], metrics[name][seed, 5])
+            # All members start from the same parameters and the same first batch.
+            np.testing.assert_allclose(metrics[name][seed, :, 0], metrics[name][seed, 0, 0], rtol=1e-5)
+        assert np.all(metrics["loss"][seed, 4] != metrics["loss"][seed, 5])
+        # The draws do change from step to step, also for parameters that stand still.
+        assert len(set(metrics["reconstruction"][seed, 4].tolist())) == 5
+    assert np.all(metrics["reconstruction"][0, 4] != metrics["reconstruction"][1, 4])
+
+
+def test_members_may_differ_in_every_hyperparameter():
+    assert set(Hypers._fields) == {"alpha", "beta", "gamma", "lr", "weight_decay"}
+    base = make_hypers()
+    _, reference = short_grid()
+    keys = jax.random.split(jax.random.key(3), 2)
+    changed = [base._replace(**{name: jnp.float32(0.9)}) for name in Hypers._fields]
+    _, metrics = train_grid(keys, stack(base, *changed), make_data(), SHORT)
+    np.testing.assert_allclose(metrics["loss"][:, 0], reference["loss"][:, 0], rtol=1e-4)
+    for member, name in enumerate(Hypers._fields, start=1):
+        assert np.all(metrics["loss"][:, member, -1] != metrics["loss"][:, 0, -1]), name
+
+
+# ---- compilation ----
+
+
+class Compilations(logging.Handler):
+    """Names of the programs XLA compiled while the context was open."""
+
+    def __enter__(self):
+        self.names = []
+        self.logging = jax.log_compiles()
+        self.logging.__enter__()
+        logging.getLogger("jax").addHandler(self)
+        return self
+
+    def __exit__(self, *exception):
+        logging.getLogger("jax").removeHandler(self)
+        self.logging.__exit__(*exception)
+
+    def emit(self, record):
+        message = record.getMessage()
+        if message.startswith("Finished XLA compilation of "):
+            self.names.append(message.removeprefix("Finished XLA compilation of ").split(" in ")[0])
+
+
+def test_a_grid_compiles_once_and_a_second_grid_of_other_values_never():
+    traces = []
+
+    @functools.partial(jax.jit, static_argnums=3)
+    def grid(keys, hypers, data, static):
+        traces.append(static)
+        return train_grid(keys, hypers, data, static)
+
+    static = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=2, batch=16, warmup=1)
+
+    def inputs(seed):
+        rng = np.random.default_rng(seed)
+        hypers = Hypers(*(jnp.array(rng.uniform(1e-3, 1e-2, 3), jnp.float32) for _ in Hypers._fields))
+        return jax.random.split(jax.random.key(seed), 2), hypers, make_data(n=40, seed=seed)
+
+    # Inputs are made before the count starts; equal settings written anew are the same static argument.
+    first, second = jax.block_until_ready((inputs(0), inputs(1)))
+    twin = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=2, batch=16, warmup=1)
+    with Compilations() as compiled:
+        one = jax.block_until_ready(grid(*first, static))
+    assert len(compiled.names) == 1 and "grid" in compiled.names[0] and len(traces) == 1
+    with Compilations() as compiled:
+        two = jax.block_until_ready(grid(*second, twin))
+        same = jax.block_until_ready(grid(*first, twin))
+    assert compiled.names == [] and len(traces) == 1
+    assert not np.array_equal(one[1]["loss"], two[1]["loss"])
+    assert_trees_equal(one, same)
+
+
+def test_the_counter_sees_a_new_program():
+    with Compilations() as compiled:
+        jax.jit(lambda x: x * 3 + 1)(np.float32(2.0))
+    assert len(compiled.names) >= 1
+
+
+# ---- settings ----
+
+
+def test_the_default_prefixes_are_the_papers():
+    assert PAPER_PREFIXES == (4, 8, 16, 32, 64, 96, 128)
+    static = TrainConfig()
+    assert static.prefixes == PAPER_PREFIXES and max(static.prefixes) == static.arch.latent
+    assert hash(static) == hash(TrainConfig()) and static != TrainConfig(steps=1)
+    assert math.isclose(float(make_hypers().beta), 1e-3, rel_tol=1e-6)

@@ -1,0 +1,42 @@
+"""The edge in plain float64 NumPy: retrieval, position estimate, error summary."""
+
+import math
+
+import numpy as np
+
+
+def errors(est, truth):
+    """Euclidean distance of each pair of rows."""
+    est, truth = np.asarray(est, np.float64), np.asarray(truth, np.float64)
+    return np.array([math.dist(a, b) for a, b in zip(est, truth, strict=True)])
+
+
+def mix(reg, ret, eta):
+    """eta * regression + (1 - eta) * retrieval."""
+    return eta * np.asarray(reg, np.float64) + (1 - eta) * np.asarray(ret, np.float64)
+
+
+def mean_errors(reg, ret, truth):
+    """Mean error at 0, 0.05, ..., 1, as (eta, mean) pairs."""
+    return [(i / 20, errors(mix(reg, ret, i / 20), truth).mean()) for i in range(21)]
+
+
+def select_eta(reg, ret, truth):
+    """First weight on the grid with the lowest mean error."""
+    best = (None, math.inf)
+    for eta, mean in mean_errors(reg, ret, truth):
+        if mean < best[1]:
+            best = (eta, mean)
+    return best[0]
+
+
+def cosines(query, db):
+    """[Q, N] cosine similarity; a zero vector is similar to nothing (0)."""
+    query, db = np.asarray(query, np.float64), np.asarray(db, np.float64)
+    norms = np.outer(np.linalg.norm(query, axis=1), np.linalg.norm(db, axis=1))
+    return np.divide(query @ db.T, norms, out=np.zeros_like(norms), where=norms > 0)
+
+
+def retrieve(query, db):
+    """Most similar row of each query, first of equals."""
+    return np.array([int(np.argmax(row)) for row in cosines(query, db)])
