@@ -92,22 +92,19 @@ def load_card(path: Path) -> ModuleType:
     return module
 
 
-def load_features(data: Path | None, backbone: str, preset: str) -> tuple[FeatureSet, str]:
+def load_features(data: Path | None, preset: str) -> tuple[FeatureSet, str]:
     """The data of a run: somebody's feature set, or the embedded town.
 
     Args:
         data: a feature set (`.npz` or folder), or None for the embedded town.
-        backbone: name of the image backbone for the embedded town.
         preset: the smoke preset takes a short drive.
 
     Returns:
         The feature set, and where it is from.
 
     Raises:
-        InputError: unreadable data, fewer than 200 frames, or an unknown backbone.
+        InputError: unreadable data, or fewer than 200 frames.
     """
-    if backbone != "embedded":
-        raise InputError(f"backbone {backbone!r} is not available; this version has: embedded")
     if data is not None:
         with progress_bar(f"reading {data.name}", 1) as update:
             features = load(data, on_frame=lambda done, total: update(done // total))
@@ -156,13 +153,18 @@ def reproduce(
     for name in only:
         if name not in card_names():
             raise InputError(f"no figure is called {name!r}; there are: {', '.join(card_names())}")
+    if backbone != "embedded":
+        raise InputError(f"backbone {backbone!r} is not available; this version has: embedded")
     paths = [sweep] if sweep is not None else [cards_folder() / f"{name}.py" for name in (only or card_names())]
     cards = [load_card(path) for path in paths]
-    _check_writable(out)
+    # Whatever can be refused is refused before anything is rendered, and a refusal leaves no folder behind.
+    if data is None:
+        _check_writable(out)
     try:
-        features, source = load_features(data, backbone, preset)
+        features, source = load_features(data, preset)
     except KeyboardInterrupt:
         raise Interrupted("interrupted while reading the data; nothing was written") from None
+    _check_writable(out)
     for path, card in zip(paths, cards, strict=True):
         started = time.perf_counter()
         folder = out / path.stem

@@ -233,6 +233,7 @@ def judge_claims(results: Results, job: Job) -> list[Claim]:
     curve = results.mean_m("ovib").mean(axis=0)[23:]
     flat = float(curve.max() / curve.min() - 1)
     shorter = interval(results.at("ovib", 16) / results.at("ovib", 128))
+    ours_16 = f"{at[16].text()} m against {interval(pca16).text('m')}, ratio {ratio.text()}"
     claims = [
         Claim(
             "A 16-float prefix localizes about as well as all 128: error at k = 16 at most 1.15 of that at k = 128",
@@ -244,18 +245,19 @@ def judge_claims(results: Results, job: Job) -> list[Claim]:
         Claim(
             "O-VIB at k = 16 has at most half of PCA's error at k = 16",
             "-",
-            f"{at[16].text()} m against {interval(pca16).text()} m, ratio {ratio.text()}",
+            ours_16,
             below(ratio, 0.5),
             "interval of the paired ratio at most 0.5",
         ),
     ]
     best_pca = min(SPARSE_PREFIXES, key=lambda k: results.at("pca", k).mean())
     crossing = [k for k in SPARSE_PREFIXES if results.at("pca", k).mean() < results.at("ovib", k).mean()]
+    ahead = max((k for k in SPARSE_PREFIXES if k not in crossing), default=0)
     claims.append(
         Claim(
             "At every payload O-VIB is at least as accurate as PCA",
             "-",
-            f"O-VIB is ahead up to k = {max((k for k in SPARSE_PREFIXES if k not in crossing), default=0)}; PCA reaches "
+            f"O-VIB is ahead up to k = {ahead}; PCA reaches "
             f"{interval(results.at('pca', best_pca)).text('m')} at k = {best_pca}",
             NOT_HELD if crossing else HELD,
             "no prefix at which PCA's mean error is lower",
@@ -305,6 +307,7 @@ def judge_claims(results: Results, job: Job) -> list[Claim]:
     )
     if not job.embedded:
         return claims
+    front_m, sides_m = (interval(results.raw_mode_m[mode]) for mode in ("F", "FS"))
     front = interval(results.raw_mode_m["F"] / results.raw_mode_m["FS"])
     expected = "expectation of the embedded town"
     return [
@@ -328,7 +331,7 @@ def judge_claims(results: Results, job: Job) -> list[Claim]:
         Claim(
             "Front-only has at least 3 times the error of front-plus-sides on raw features",
             "-",
-            f"{interval(results.raw_mode_m['F']).text()} m / {interval(results.raw_mode_m['FS']).text()} m, ratio {front.text()}",
+            f"{front_m.text()} m / {sides_m.text()} m, ratio {front.text()}",
             above(front, 3.0),
             "interval of the paired ratio at least 3",
         ),
@@ -338,12 +341,13 @@ def judge_claims(results: Results, job: Job) -> list[Claim]:
 def caption(results: Results, energy_kept: float, view_dim: int) -> str:
     """What the reader of the figure needs to know."""
     return (
-        f"(a) One trained model at every prefix k; selected on validation: k = {results.chosen}. (b) Serialized payload "
-        "against error. (c) Errors per test frame of all seeds; box: quartiles, whiskers: 5th and 95th percentile, "
-        "diamond: mean, red tick: 90th percentile. (d) Encoding after feature extraction (Jetson Orin NX profile of the "
-        f"paper) plus transmission at {LINK_KB_PER_S} KB/s. Bands are 95 % intervals over {len(results.outcomes)} seeds "
-        f"(split, initialisation, minibatches). The database holds uncompressed reference descriptors (frozen localizer). "
-        f"{view_dim} principal coordinates per view keep {100 * energy_kept:.0f} % of the feature variance."
+        f"(a) One trained model at every prefix k; selected on validation: k = {results.chosen}. (b) Serialized "
+        "payload against error. (c) Errors per test frame of all seeds; box: quartiles, whiskers: 5th and 95th "
+        "percentile, diamond: mean, red tick: 90th percentile. (d) Encoding after feature extraction (Jetson "
+        f"Orin NX profile) plus transmission at {LINK_KB_PER_S} KB/s. Bands are 95 % intervals over "
+        f"{len(results.outcomes)} seeds (split, initialisation, minibatches). The database holds uncompressed "
+        f"reference descriptors (frozen localizer). {view_dim} principal coordinates per view keep "
+        f"{100 * energy_kept:.0f} % of the feature variance."
     )
 
 
@@ -389,18 +393,21 @@ def _draw_frontier(ax: Axes, results: Results) -> None:
     for method, marker in (("pca", "s"), ("vib", ""), ("ovib", "")):
         ks = prefixes_of(method)
         keep = ks >= 4
-        fig.band(
-            ax,
-            kib(method, ks[keep]),
-            results.mean_m(method)[:, keep],
-            COLOURS[method],
-            NAMES[method],
-            marker=marker,
-        )
+        x, curves = kib(method, ks[keep]), results.mean_m(method)[:, keep]
+        fig.band(ax, x, curves, COLOURS[method], NAMES[method], "--" if method == "vib" else "-", marker)
     bank = np.concatenate([results.mean_m(f"fixed_{k}") for k in FIXED], axis=1)
     mean, half = fig.mean_and_half(bank)
-    x = kib("fixed", np.array(FIXED))
-    ax.errorbar(x, mean, half, fmt="D", ms=4, color=COLOURS["fixed"], label="fixed-rate O-VIB", capsize=2, lw=1)
+    ax.errorbar(
+        kib("fixed", np.array(FIXED)),
+        mean,
+        half,
+        fmt="D",
+        ms=4,
+        color=COLOURS["fixed"],
+        label="fixed-rate O-VIB",
+        capsize=2,
+        lw=1,
+    )
     raw_kib = results.payload_bytes("raw", 0) / 1024
     ax.plot(raw_kib, results.mean_m("raw").mean(), "X", ms=6, color=COLOURS["raw"], label="raw features")
     ax.set(xlabel="payload (KB)", ylabel="mean error (m)", xscale="log", yscale="log")

@@ -44,6 +44,7 @@ class OVIB(nn.Module):
     arch: Architecture
 
     def setup(self) -> None:
+        """Declare the layers; flax calls this."""
         arch = self.arch
         he = nn.initializers.he_normal()
         self.encoder_1 = nn.Dense(arch.hidden, kernel_init=he)

@@ -87,9 +87,7 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path, ke
             raise refusal(path, f"array {key!r} has dtype {dtype}, neither real numbers nor text")
         size = math.prod(shape) * dtype.itemsize
         if min(shape, default=0) < 0 or start + size != held:
-            raise refusal(
-                path, f"array {key!r} has shape {shape}, {size} bytes, but {held - start} bytes follow"
-            )
+            raise refusal(path, f"array {key!r} has shape {shape}, {size} bytes, but {held - start} bytes follow")
         raw = np.empty(size, np.uint8)
         done, chunk = 0, head[start:]
         while done < size and chunk:

@@ -45,9 +45,7 @@ class Split(NamedTuple):
     test: NDArray[np.int64]
 
 
-def _field(
-    source: str, name: str, value: ArrayLike, kinds: str, shape: tuple[int | str, ...]
-) -> NDArray[Any]:
+def _field(source: str, name: str, value: ArrayLike, kinds: str, shape: tuple[int | str, ...]) -> NDArray[Any]:
     """A field as an array of the wanted kind and shape; a letter in `shape` stands for any length."""
     try:
         array = np.asarray(value)
@@ -131,9 +129,7 @@ def validate(feature_set: FeatureSet, source: str = "array") -> FeatureSet:
     for bad, reason in checks:
         if bad.any():
             raise refusal(source, f"frame {frame_id[np.argmax(bad)]!s}: {reason}")
-    return FeatureSet(
-        unit, positions_m, yaw_rad, context.astype(np.int32), scene_id.astype(np.int32), frame_id
-    )
+    return FeatureSet(unit, positions_m, yaw_rad, context.astype(np.int32), scene_id.astype(np.int32), frame_id)
 
 
 def make_feature_set(

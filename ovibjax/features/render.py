@@ -148,10 +148,7 @@ def _prepare(
     axes = jax.vmap(camera_axes)(yaw_rad).reshape(-1, 3, 3)
     origin = jnp.repeat(positions_m, 5, axis=0)
     right, up = _pixel_grid(camera)
-    ray = [
-        axes[:, 0, a, None] + axes[:, 1, a, None] * right[None] + axes[:, 2, a, None] * up[None]
-        for a in range(3)
-    ]
+    ray = [axes[:, 0, a, None] + axes[:, 1, a, None] * right[None] + axes[:, 2, a, None] * up[None] for a in range(3)]
     cull = jax.vmap(_cull, (None, None, 0, 0, None))
     # A sphere from the ground through the crown bounds a tree and its trunk.
     tree_spheres = town.trees[:, jnp.array([0, 1, 2, 2])] * jnp.array([1.0, 1.0, 0.5, 1.0], jnp.float32)[None]
@@ -258,14 +255,15 @@ def _cull(rows: jax.Array, spheres: jax.Array, origin: jax.Array, axes: jax.Arra
 
 def _box_distance(box: jax.Array, origin: jax.Array, ray: list[jax.Array]) -> jax.Array:
     """First hit of the slab test; box [V, A], result [V, P], `_FAR_M` where missed."""
-    near, far = None, None
+    near: jax.Array = jnp.full_like(ray[0], -_FAR_M)
+    far: jax.Array = jnp.full_like(ray[0], _FAR_M)
     for a in range(3):
         inverse = 1.0 / jnp.where(jnp.abs(ray[a]) < 1e-7, 1e-7, ray[a])
         low = (box[:, a] - origin[:, a])[:, None] * inverse
         high = (box[:, 3 + a] - origin[:, a])[:, None] * inverse
         enter, leave = jnp.minimum(low, high), jnp.maximum(low, high)
-        near = enter if near is None else jnp.maximum(near, enter)
-        far = leave if far is None else jnp.minimum(far, leave)
+        near = jnp.maximum(near, enter)
+        far = jnp.minimum(far, leave)
     return jnp.where((near < far) & (near > 0.05), near, _FAR_M)
 
 

@@ -52,13 +52,12 @@ def _walk_grid(rng: np.random.Generator, town: Town, length_m: float) -> np.ndar
     node = np.array([rng.integers(last[0] + 1), rng.integers(last[1] + 1)])
     heading = np.array([0, 0])
     visits: dict[tuple[int, ...], int] = {}
-    points, driven = [], 0.0
+    points: list[list[float]] = []
+    driven = 0.0
     while driven < length_m or len(points) < 3:
         points.append([town.road_x_m[node[0]], town.road_y_m[node[1]]])
         moves = [np.array(move) for move in ((1, 0), (-1, 0), (0, 1), (0, -1))]
-        moves = [
-            m for m in moves if np.all(node + m >= 0) and np.all(node + m <= last) and np.any(m != -heading)
-        ]
+        moves = [m for m in moves if np.all(node + m >= 0) and np.all(node + m <= last) and np.any(m != -heading)]
         # Opposite directions of one street are different drives: they see it from different sides.
         straight = np.array([float(np.all(m == heading)) for m in moves])
         counts = np.array([visits.get((*node, *m), 0) for m in moves]) - 0.8 * straight

@@ -87,19 +87,14 @@ def shade_wall(
     outward_x = jnp.where(ray[0] < 0, 1.0, -1.0)
     outward_y = jnp.where(ray[1] < 0, 1.0, -1.0)
     light = jnp.where(faces_x, outward_x * SUN[0], outward_y * SUN[1])
-    rgb = [
-        _mix(row[6 + c] * wear * band * plinth, glass * tint, window)
-        for c, tint in enumerate((0.8, 0.95, 1.1))
-    ]
+    rgb = [_mix(row[6 + c] * wear * band * plinth, glass * tint, window) for c, tint in enumerate((0.8, 0.95, 1.1))]
     return rgb, light
 
 
 @jax.jit
 def shade_roof(hit: Colour, row: list[jax.Array], footprint: jax.Array) -> Colour:
     """Flat roof with a parapet, stains and plant boxes."""
-    edge = jnp.minimum(
-        jnp.minimum(hit[0] - row[0], row[3] - hit[0]), jnp.minimum(hit[1] - row[1], row[4] - hit[1])
-    )
+    edge = jnp.minimum(jnp.minimum(hit[0] - row[0], row[3] - hit[0]), jnp.minimum(hit[1] - row[1], row[4] - hit[1]))
     ix, fx = _floor(hit[0] / 3.1)
     iy, fy = _floor(hit[1] / 3.1)
     unit = (_hash(ix, iy, 5) > 0.82) & (jnp.abs(fx - 0.5) < 0.3) & (jnp.abs(fy - 0.5) < 0.3)

@@ -5,8 +5,9 @@ give the town the three kinds of place the paper's routes have: street canyons, 
 houses, whose perceptual aliasing makes front-only localization fail.
 """
 
+import itertools
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class TownConfig:
 
 
 class Town(NamedTuple):
-    """A town as arrays, ready for the renderer.
+    """A town as arrays, ready for the renderer; NumPy as made, JAX inside it.
 
     Attributes:
         boxes: [B, 15] float32 buildings, columns as in `BOX_COLUMNS`.
@@ -61,13 +62,13 @@ class Town(NamedTuple):
         pavement_m: scalar.
     """
 
-    boxes: np.ndarray
-    trees: np.ndarray
-    road_x_m: np.ndarray
-    road_y_m: np.ndarray
-    lawn: np.ndarray
-    road_half_width_m: np.ndarray
-    pavement_m: np.ndarray
+    boxes: Any
+    trees: Any
+    road_x_m: Any
+    road_y_m: Any
+    lawn: Any
+    road_half_width_m: Any
+    pavement_m: Any
 
 
 class Route(NamedTuple):
@@ -124,8 +125,8 @@ def make_town(config: TownConfig) -> Town:
         road_x_m=road_x.astype(np.float32),
         road_y_m=road_y.astype(np.float32),
         lawn=lawn,
-        road_half_width_m=np.float32(config.road_half_width_m),
-        pavement_m=np.float32(config.pavement_m),
+        road_half_width_m=np.asarray(config.road_half_width_m, np.float32),
+        pavement_m=np.asarray(config.pavement_m, np.float32),
     )
 
 
@@ -169,9 +170,7 @@ def _fill_canyon(rng: np.random.Generator, lot: np.ndarray, _: np.ndarray) -> Fi
             if stop - at - width < 6:
                 width = stop - at
             near = [lot[1], lot[3] - depth, lot[0], lot[2] - depth][side]
-            parts = (
-                [at, near, at + width, near + depth] if horizontal else [near, at, near + depth, at + width]
-            )
+            parts = [at, near, at + width, near + depth] if horizontal else [near, at, near + depth, at + width]
             plot = np.array(parts)
             facade = _facade(rng, height_m=rng.uniform(13, 34))
             boxes.append(_box(plot, facade))
@@ -191,9 +190,7 @@ def _fill_terrace(rng: np.random.Generator, lot: np.ndarray, house: np.ndarray) 
         for x in np.arange(lot[0] + 2, lot[2] - 10, 12.0):
             boxes.append(_box(np.array([x, y0, x + 9.0, y1]), house))
             if row == 0 and lot[3] - lot[1] > 44:
-                boxes.append(
-                    _box(np.array([x, (lot[1] + lot[3]) / 2 - 5, x + 9.0, (lot[1] + lot[3]) / 2 + 5]), house)
-                )
+                boxes.append(_box(np.array([x, (lot[1] + lot[3]) / 2 - 5, x + 9.0, (lot[1] + lot[3]) / 2 + 5]), house))
     trees = [_street_tree(rng, lot) for _ in range(rng.integers(1, 4))]
     return boxes, trees
 
@@ -212,9 +209,7 @@ def _fill_mixed(rng: np.random.Generator, lot: np.ndarray, _: np.ndarray) -> Fil
                 continue
             margin = rng.uniform(0.5, 3.5, 4)
             plot = np.concatenate([corner + margin[:2], corner + step - margin[2:]])
-            boxes.append(
-                _box(plot, _facade(rng, height_m=rng.choice([5, 8, 12, 18, 26]) * rng.uniform(0.8, 1.2)))
-            )
+            boxes.append(_box(plot, _facade(rng, height_m=rng.choice([5, 8, 12, 18, 26]) * rng.uniform(0.8, 1.2))))
     return boxes, trees
 
 
@@ -231,12 +226,10 @@ def _fill_sheds(rng: np.random.Generator, lot: np.ndarray, _: np.ndarray) -> Fil
     """Two or three wide, low halls."""
     boxes = []
     cuts = np.linspace(lot[0], lot[2], rng.integers(3, 5))
-    for x0, x1 in zip(cuts[:-1], cuts[1:], strict=True):
+    for x0, x1 in itertools.pairwise(cuts):
         facade = _facade(rng, height_m=rng.uniform(6, 11))
         facade[6] = rng.uniform(0.05, 0.2)
-        boxes.append(
-            _box(np.array([x0 + 1, lot[1] + rng.uniform(1, 6), x1 - 1, lot[3] - rng.uniform(1, 6)]), facade)
-        )
+        boxes.append(_box(np.array([x0 + 1, lot[1] + rng.uniform(1, 6), x1 - 1, lot[3] - rng.uniform(1, 6)]), facade))
     return boxes, [_street_tree(rng, lot) for _ in range(rng.integers(0, 3))]
 
 

@@ -3,7 +3,7 @@
 import io
 import json
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,11 +35,8 @@ DEPTH_FAR_CM = 65535
 
 _BATCH = 2  # poses per call: more are not faster, and each takes 0.4 GB of memory
 _CANDIDATES = 6  # places looked at per context before one is shown
-_COLOURS = (
-    "#0072B2",
-    "#E69F00",
-    "#CC79A7",
-)  # of the contexts; Okabe and Ito: told apart with any colour vision
+# Colours of the contexts, from Okabe and Ito's palette: told apart with any colour vision.
+_COLOURS = ("#0072B2", "#E69F00", "#CC79A7")
 _INK = "#222222"
 # Layout of the picture in pixels.
 _CELL_W, _CELL_H, _GAP, _MARGIN, _HEADER, _LABEL = 236, 177, 6, 14, 40, 44
@@ -47,12 +44,16 @@ _CELL_W, _CELL_H, _GAP, _MARGIN, _HEADER, _LABEL = 236, 177, 6, 14, 40, 44
 
 def _render_frames(town: Town, route: Route, frames: NDArray[np.int64]) -> Iterator[tuple[int, Views]]:
     """Each listed frame with its views, [M, H, W] NumPy arrays, rendered in batches of one size."""
+    # A small town has fewer buildings than the camera keeps.
+    n_boxes, n_trees = len(town.boxes), len(town.trees)
+    kept = (min(n_boxes, FRAME_CAMERA.max_boxes), min(n_trees, FRAME_CAMERA.max_trees))
+    camera = replace(FRAME_CAMERA, max_boxes=kept[0], max_trees=kept[1])
     for start in range(0, len(frames), _BATCH):
         batch = frames[start : start + _BATCH]
         # The last batch repeats its last pose: a batch of another size would be compiled anew.
         padded = np.concatenate([batch, np.repeat(batch[-1:], _BATCH - len(batch))])
         poses = (jnp.asarray(route.positions_m[padded]), jnp.asarray(route.yaw_rad[padded]))
-        views = [np.asarray(field) for field in render(town, *poses, FRAME_CAMERA)]
+        views = [np.asarray(field) for field in render(town, *poses, camera)]
         for row, frame in enumerate(batch.tolist()):
             yield frame, Views(*(field[row] for field in views))
 
@@ -196,7 +197,10 @@ def contact_sheet(town_config: TownConfig, path: StrPath, seed: int = 0) -> None
     Raises:
         InputError: the file cannot be written, or a seed is out of range.
     """
+    path = Path(path)
     _check_seeds(path, town_config, seed)
+    if path.is_dir() or not path.parent.is_dir():
+        raise refusal(path, "cannot be written: name a file in a folder that exists")
     town = make_town(town_config)
     route = make_route(town, town_config, PAPER_FRAMES, seed)
     context = context_labels(town, route.positions_m)
@@ -229,7 +233,7 @@ def contact_sheet(town_config: TownConfig, path: StrPath, seed: int = 0) -> None
     stream = io.BytesIO()
     FigureCanvasAgg(figure).print_png(stream)
     try:
-        _write(Path(path), stream.getvalue())
+        _write(path, stream.getvalue())
     except OSError as error:
         raise refusal(path, f"cannot be written ({error.strerror or error})") from error
 

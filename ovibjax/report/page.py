@@ -25,9 +25,9 @@ def write_page(folder: Path) -> Path:
     lines = [
         "# Results",
         "",
-        "Written by `ovibjax reproduce`; do not edit. Intervals are 95 % over seeds (Student's t). *Held* means that the",
-        "whole interval satisfies the rule, *held on average* that only the mean does. The paper's numbers come from CARLA",
-        "Town05 and a Jetson Orin NX; where the data are another world, metres are not comparable, orderings are.",
+        "Written by `ovibjax reproduce`; do not edit. Intervals are 95 % over seeds (Student's t). *Held* means that",
+        "the whole interval satisfies the rule, *held on average* that only the mean does. The paper's numbers come",
+        "from CARLA Town05 and a Jetson Orin NX: in another world metres do not compare, orderings do.",
         "",
     ]
     for section in sorted(path.parent for path in folder.glob("*/claims.json")):

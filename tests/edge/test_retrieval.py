@@ -70,7 +70,7 @@ def test_scale_does_not_matter(query_scale, db_scale):
 
 
 def signs(d):
-    """All 2^d rows of +-1, shuffled; at d = 4 and 16 their unit norm and products with integers are exact in float32."""
+    """All 2^d rows of +-1, shuffled; at d = 4 their unit norm and their products with integers are exact."""
     rows = np.float32(np.unravel_index(np.arange(2**d), (2,) * d)).T * 2 - 1
     return np.random.default_rng(d).permutation(rows)
 

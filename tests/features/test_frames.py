@@ -155,9 +155,7 @@ BAD_FIELDS = {
 def test_bad_fields_are_refused_in_memory(name):
     fields, words = BAD_FIELDS[name]
     with pytest.raises(InputError) as error:
-        make_feature_set(
-            **{"features": raw_features(), "positions_m": np.zeros((6, 3)), **fields}, source="town"
-        )
+        make_feature_set(**{"features": raw_features(), "positions_m": np.zeros((6, 3)), **fields}, source="town")
     assert_refused(error, "town:", *words)
 
 
@@ -432,9 +430,7 @@ def test_unknown_arrays_are_named(tmp_path):
     assert_refused(error, "more.npz", "unknown", "'yaw'")
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"hello", pickle.dumps({"a": 1}), b"PK\x05\x06" + bytes(18), b"PK\x03\x04"]
-)
+@pytest.mark.parametrize("content", [b"", b"hello", pickle.dumps({"a": 1}), b"PK\x05\x06" + bytes(18), b"PK\x03\x04"])
 def test_other_files_are_refused(tmp_path, content):
     (tmp_path / "other.npz").write_bytes(content)
     with pytest.raises(InputError) as error:
@@ -442,9 +438,7 @@ def test_other_files_are_refused(tmp_path, content):
     assert_refused(error, "other.npz", "missing" if content.startswith(b"PK\x05") else "not an .npz")
 
 
-@pytest.mark.parametrize(
-    "name", ["absent.npz", "a\nb.npz", "a\0b.npz", "\udc80.npz", "x" * 300, "file.npz/inside.npz"]
-)
+@pytest.mark.parametrize("name", ["absent.npz", "a\nb.npz", "a\0b.npz", "\udc80.npz", "x" * 300, "file.npz/inside.npz"])
 def test_missing_paths_are_refused(tmp_path, name):
     (tmp_path / "file.npz").write_bytes(b"")
     with pytest.raises(InputError) as error:
@@ -508,9 +502,7 @@ def test_flat_positions_and_stray_files(tmp_path):
     (tmp_path / "Back" / ".DS_Store").write_bytes(b"x")
     (tmp_path / "Back" / "._000000.npz").write_bytes(b"x")
     (tmp_path / "Left" / "notes.txt").write_bytes(b"x")
-    np.savez(
-        tmp_path / "Down" / "000001.npz", **np.load(tmp_path / "Down" / "000001.npz"), note=np.array([None])
-    )
+    np.savez(tmp_path / "Down" / "000001.npz", **np.load(tmp_path / "Down" / "000001.npz"), note=np.array([None]))
     assert load(tmp_path).positions_m.tolist() == [[0, 2, 0], [1, 2, 0]]
 
 
@@ -665,9 +657,7 @@ def test_seeds_give_different_splits():
     assert len(parts) == 20
 
 
-@pytest.mark.parametrize(
-    ("n", "seed", "word"), [(6, 0, "at least 7"), (-1, 0, "at least 7"), (500, -1, "seed -1")]
-)
+@pytest.mark.parametrize(("n", "seed", "word"), [(6, 0, "at least 7"), (-1, 0, "at least 7"), (500, -1, "seed -1")])
 def test_bad_splits_are_refused(n, seed, word):
     with pytest.raises(InputError) as error:
         split_indices(n, seed)

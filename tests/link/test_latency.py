@@ -35,9 +35,7 @@ def test_raw_offloading_upload_time():
 
 def test_compute_interpolates_and_clamps():
     k = jnp.array([1, 16, 24, 32, 35, 128, 256])
-    np.testing.assert_allclose(
-        compute_ms_at(JETSON, k), [31.7, 31.7, 32.0, 32.3, 32.5, 35.7, 35.7], rtol=1e-6
-    )
+    np.testing.assert_allclose(compute_ms_at(JETSON, k), [31.7, 31.7, 32.0, 32.3, 32.5, 35.7, 35.7], rtol=1e-6)
     grid = np.linspace(1, 200, 57)
     expected = np.interp(grid, [16, 32, 35, 128], [31.7, 32.3, 32.5, 35.7])
     np.testing.assert_allclose(compute_ms_at(JETSON, grid), expected, rtol=1e-6)

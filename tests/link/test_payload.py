@@ -30,9 +30,7 @@ WIRE_MODES = {"F": (0, [0]), "FS": (1, [0, 2, 3]), "H4": (2, [0, 1, 2, 3]), "A5"
 
 def oracle(mode, prefix, voi_m, deadline_ms, client, sequence):
     number, views = WIRE_MODES[mode]
-    tail = b"".join(struct.pack("<I", view) for view in views) + b"".join(
-        struct.pack("<f", z) for z in prefix
-    )
+    tail = b"".join(struct.pack("<I", view) for view in views) + b"".join(struct.pack("<f", z) for z in prefix)
     head = b"OV" + bytes([0x10 + number, len(prefix) - 1]) + struct.pack("<f", voi_m)
     head += struct.pack("<H", 20 + len(tail)) + struct.pack("<HHH", deadline_ms, client, sequence)
     return head + struct.pack("<I", zlib.crc32(tail, zlib.crc32(head))) + tail

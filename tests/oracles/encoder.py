@@ -1,5 +1,6 @@
 """The encoder of the paper in plain float64 NumPy: rate terms, masks, objective, network, AdamW."""
 
+import itertools
 import math
 
 import numpy as np
@@ -47,9 +48,7 @@ def log_uniform_kl(log_alpha):
 
     # The logarithm is singular at 0, the bell stands at m.
     edges = sorted({0.0, 1.0, *(max(m + step, 1.0) for step in (-10, -4, 0, 4, 10)), m + 14.0})
-    parts = [
-        integrate.quad(integrand, a, b, epsabs=1e-11)[0] for a, b in zip(edges[:-1], edges[1:], strict=True)
-    ]
+    parts = [integrate.quad(integrand, a, b, epsabs=1e-11)[0] for a, b in itertools.pairwise(edges)]
     return sum(parts) + 0.5 * (np.euler_gamma + math.log(2))
 
 
