@@ -173,6 +173,9 @@ def reproduce(
         job = Job(path.stem, preset, folder, seed, features, source, rank)
         try:
             card.run(job)
+        except Interrupted:  # the card wrote what it had
+            write_page(out)
+            raise
         except KeyboardInterrupt:
             _drop_if_empty(folder)
             raise Interrupted(f"interrupted in {path.stem}; finished figures are in {out}") from None

@@ -3,35 +3,22 @@
 import csv
 import json
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.edge.evaluate import Judged, one_standard_error_choice
-from ovibjax.edge.methods import (
-    FIXED,
-    LATENT,
-    SPARSE_PREFIXES,
-    TRAINED,
-    Effort,
-    Outcome,
-    prefixes_of,
-    run_method,
-)
-from ovibjax.encoder.model import Architecture, encode, parameter_bytes
-from ovibjax.encoder.prepare import Member, prepare
+from ovibjax.edge.compare import Results, collect, table_rows
+from ovibjax.edge.methods import FIXED, SPARSE_PREFIXES, TRAINED, Effort, Outcome, prefixes_of, run_method
+from ovibjax.edge.overhead import measure_encoder, overhead_rows
+from ovibjax.encoder.prepare import prepare
 from ovibjax.link.latency import (
     JETSON,
     LatencyProfile,
     compute_ms_at,
     kbytes_per_s,
-    measure_host,
     semantic_latency_ms,
     transmit_s,
 )
@@ -55,41 +42,6 @@ PAPER_LATENCY_MS = {16: 42.0, 35: 52.0, 32: 50.4, 128: 100.6}
 PAPER_CODECS_S = {"WebP": 2.92, "H.265": 3.61, "JPEG": 4.58, "H.264": 5.04}
 NAMES = {"ovib": "O-VIB", "vib": "VIB", "fixed": "fixed-rate", "pca": "PCA", "raw": "raw features"}
 COLOURS = {"ovib": fig.BLUE, "vib": fig.SKY, "fixed": fig.ORANGE, "pca": fig.RED, "raw": fig.GREY}
-
-
-@dataclass(frozen=True)
-class Results:
-    """Outcomes of the finished seeds, and what they lead to.
-
-    Attributes:
-        judged: per method, one `Judged` per seed.
-        recoded: the same with the database passed through the code.
-        raw_mode_m: per view mode, mean raw error per seed.
-        outcomes: per seed, the trained methods.
-        raw_floats: floats of an uncompressed frame.
-        chosen: prefix selected on validation.
-    """
-
-    judged: dict[str, list[Judged]]
-    recoded: dict[str, list[Judged]]
-    raw_mode_m: dict[str, np.ndarray]
-    outcomes: dict[int, dict[str, Outcome]]
-    raw_floats: int
-    chosen: int
-
-    def mean_m(self, method: str) -> np.ndarray:
-        """[seeds, prefixes] mean test errors."""
-        return np.stack([judged.test_error_m.mean(axis=1) for judged in self.judged[method]])
-
-    def at(self, method: str, k: int, recoded: bool = False) -> np.ndarray:
-        """[seeds] mean test error at one prefix."""
-        index = int(np.flatnonzero(prefixes_of("pca" if recoded else method) == k)[0])
-        judged = (self.recoded if recoded else self.judged)[method]
-        return np.array([j.test_error_m[index].mean() for j in judged])
-
-    def payload_bytes(self, method: str, k: int) -> int:
-        """Bytes of one representation: header and prefix, or raw float32 features."""
-        return 4 * self.raw_floats if method == "raw" else representation_bytes(k)
 
 
 def run(job: Job) -> None:
@@ -121,7 +73,10 @@ def run(job: Job) -> None:
     results = collect(finished, raw_floats=int(np.prod(job.features.features.shape[1:])))
     host = measure_encoder(results, member)
     _write_csv(job.out / "table.csv", table_rows(results))
-    _write_csv(job.out / "overhead.csv", overhead_rows(results, host, 4 * (basis.axes.size + basis.mean.size)))
+    _write_csv(
+        job.out / "overhead.csv",
+        overhead_rows(results, host, 4 * (basis.axes.size + basis.mean.size), LINK_KB_PER_S, PAPER_LATENCY_MS),
+    )
     write_claims(job.out / "claims.json", judge_claims(results, job))
     draw(job.out / "figure.png", results, host)
     kept = float(np.mean([basis.energy_kept.mean() for _, basis in prepared.values()]))
@@ -145,84 +100,6 @@ def run(job: Job) -> None:
     (job.out / "provenance.json").write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
     if interrupted:
         raise Interrupted(f"interrupted; {job.out} holds the figure of the finished seeds {facts['seeds']}")
-
-
-def collect(outcomes: dict[int, dict[str, Outcome]], raw_floats: int) -> Results:
-    """Regroup outcomes by method and choose the prefix on the validation frames of all seeds together."""
-    per_seed = [{k: v for o in by_method.values() for k, v in o.judged.items()} for by_method in outcomes.values()]
-    judged = {method: [one[method] for one in per_seed] for method in per_seed[0]}
-    ovib = [by_method["ovib"] for by_method in outcomes.values()]
-    val = np.concatenate([j.val_error_m for j in judged["ovib"]], axis=1)
-    return Results(
-        judged=judged,
-        recoded={method: [o.recoded[method] for o in ovib] for method in ("ovib", "pca")},
-        raw_mode_m={mode: np.array([o.raw_mode_m[mode] for o in ovib]) for mode in ovib[0].raw_mode_m},
-        outcomes=outcomes,
-        raw_floats=raw_floats,
-        chosen=int(one_standard_error_choice(jnp.asarray(val), jnp.asarray(prefixes_of("ovib")))),
-    )
-
-
-def measure_encoder(results: Results, member: Member) -> LatencyProfile:
-    """Time to encode one frame on this machine, after feature extraction."""
-    views, dim = member.train.x.shape[1:]
-    arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
-    params = next(iter(results.outcomes.values()))["ovib"].params
-    x = member.test_x[:1].reshape(1, -1)
-    jitted = jax.jit(lambda params, x: encode(params, x, arch)[0])
-    return measure_host(lambda k: np.asarray(jitted(params, x))[:, :k], (16, 32, 35, 128))
-
-
-def table_rows(results: Results) -> list[dict[str, Any]]:
-    """One tidy row per method, prefix and seed."""
-    rows = []
-    for method, per_seed in results.judged.items():
-        ks = [results.raw_floats] if method == "raw" else prefixes_of(method).tolist()
-        for seed, judged in zip(results.outcomes, per_seed, strict=True):
-            for i, k in enumerate(ks):
-                error = judged.test_error_m[i]
-                row = {
-                    "method": "ovib_fixed" if method.startswith("fixed_") else method,
-                    "k": k,
-                    "seed": seed,
-                }
-                row |= {"payload_bytes": results.payload_bytes(method, k), "mean_m": f"{error.mean():.4f}"}
-                rows.append(row | {"p90_m": f"{np.percentile(error, 90):.4f}", "eta": f"{judged.eta[i]:.2f}"})
-    return rows
-
-
-def overhead_rows(results: Results, host: LatencyProfile, basis_bytes: int) -> list[dict[str, Any]]:
-    """The deployment table; storage counts encoder, decoder, localizer head and per-view basis in float32."""
-    networks = next(iter(results.outcomes.values()))
-    size_mb = {m: (parameter_bytes(o.params) + basis_bytes) / 1e6 for m, o in networks.items()}
-
-    def latency(profile: LatencyProfile, k: int) -> float:
-        return float(semantic_latency_ms(profile, k, kbytes_per_s(LINK_KB_PER_S)))
-
-    def row(name: str, paper: str, models: int, storage_mb: float, rates: int, ks: tuple[int, ...]) -> dict[str, Any]:
-        span = ["-".join(f"{latency(profile, k):.1f}" for k in ks) for profile in (JETSON, host)]
-        return {
-            "method": name,
-            "models": models,
-            "storage_mb": f"{storage_mb:.1f}",
-            "rates": rates,
-            "jetson_ms_at_8_kb_per_s": span[0],
-            "paper_ms": paper,
-            "this_host_ms": span[1],
-        }
-
-    small, large = (f"fixed_{k}" for k in FIXED)
-    scalable = size_mb["ovib"]
-    rows = [
-        row("Fixed-rate O-VIB-32", "50.4", 1, size_mb[small], 1, (32,)),
-        row("Fixed-rate O-VIB-128", "100.6", 1, size_mb[large], 1, (128,)),
-        row("Fixed-rate bank {32 128}", "50.4-100.6", 2, size_mb[small] + size_mb[large], 2, FIXED),
-        row("Scalable O-VIB k=35", "52.0", 1, scalable, LATENT, (35,)),
-        row("Scalable O-VIB k=16", "42.0", 1, scalable, LATENT, (16,)),
-    ]
-    if results.chosen not in (16, 35):
-        rows.append(row(f"Scalable O-VIB k={results.chosen} (selected)", "-", 1, scalable, LATENT, (results.chosen,)))
-    return rows
 
 
 def judge_claims(results: Results, job: Job) -> list[Claim]:

@@ -47,7 +47,7 @@ def make_route(
 
 
 def _walk_grid(rng: np.random.Generator, town: Town, length_m: float) -> np.ndarray:
-    """Corner points of a walk on the road grid that never turns back and prefers roads it has driven least."""
+    """Corner points of a walk that never turns back, prefers roads driven least, and mostly goes straight on."""
     last = np.array([len(town.road_x_m), len(town.road_y_m)]) - 1
     node = np.array([rng.integers(last[0] + 1), rng.integers(last[1] + 1)])
     heading = np.array([0, 0])
@@ -60,7 +60,7 @@ def _walk_grid(rng: np.random.Generator, town: Town, length_m: float) -> np.ndar
         moves = [m for m in moves if np.all(node + m >= 0) and np.all(node + m <= last) and np.any(m != -heading)]
         # Opposite directions of one street are different drives: they see it from different sides.
         straight = np.array([float(np.all(m == heading)) for m in moves])
-        counts = np.array([visits.get((*node, *m), 0) for m in moves]) - 0.8 * straight
+        counts = np.array([visits.get((*node, *m), 0) for m in moves]) - 0.35 * straight
         counts = counts + rng.uniform(0, 0.7, len(moves))
         heading = moves[int(np.argmin(counts))]
         key = (*node.tolist(), *heading.tolist())

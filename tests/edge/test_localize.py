@@ -8,9 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ovibjax.edge.localize import ETAS, ErrorSummary, errors, mix, select_eta, summarize
+from ovibjax.edge import localize
+from ovibjax.edge.localize import ETAS, ErrorSummary
 from tests.oracles import edge as oracle
 
+errors, mix, select_eta, summarize = (
+    jax.jit(f) for f in (localize.errors, localize.mix, localize.select_eta, localize.summarize)
+)
 metres = st.floats(-500, 500, width=32).map(lambda x: x if abs(x) > 1e-3 else 0.0)
 points = arrays(np.float32, (6, 3), elements=metres)
 
@@ -87,7 +91,7 @@ def test_ties_go_to_the_smaller_weight():
 
 def test_select_eta_is_a_function_of_arrays():
     stacks = [np.stack(parts) for parts in zip(*(random_estimates(s, reg_m=3 * s + 1) for s in range(4)), strict=True)]
-    together = jax.jit(jax.vmap(select_eta))(*stacks)
+    together = jax.vmap(select_eta)(*stacks)
     assert together.shape == (4,) and together.dtype == jnp.float32
     alone = [float(select_eta(*(part[i] for part in stacks))) for i in range(4)]
     np.testing.assert_array_equal(together, np.float32(alone))

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ovibjax.edge.retrieval import brute_force, normalize
+from ovibjax.edge import retrieval
 from tests.oracles import edge as oracle
 
+brute_force, normalize = jax.jit(retrieval.brute_force), jax.jit(retrieval.normalize)
 small_integers = st.integers(-3, 3).map(np.float32)
 
 

@@ -9,20 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ovibjax.encoder.model import (
-    OVIB,
-    Architecture,
-    decode,
-    encode,
-    init,
-    locate,
-    mean_projection,
-    parameter_bytes,
-)
+from ovibjax.encoder import model
+from ovibjax.encoder.model import OVIB, Architecture, init, mean_projection, parameter_bytes
 from tests.oracles import encoder as oracle
 
 UAV = Architecture(n_views=5, view_dim=6, latent=8, hidden=16, last_hidden=12, head=10)
 UGV = dataclasses.replace(UAV, n_views=4)
+encode, decode, locate = (jax.jit(f, static_argnums=2) for f in (model.encode, model.decode, model.locate))
 
 
 def shapes_of(arch):
@@ -63,7 +56,7 @@ def test_every_part_equals_the_numpy_forward_pass(arch):
 
 def test_the_whole_chain_is_its_parts_without_noise():
     params, x = make_params(UAV), rows(4, 30)
-    descriptor, position = OVIB(UAV).apply(params, x)
+    descriptor, position = jax.jit(OVIB(UAV).apply)(params, x)
     theirs = oracle.decode(params, oracle.encode(params, x)[0])
     np.testing.assert_allclose(descriptor, theirs, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(position, oracle.locate(params, theirs), rtol=1e-4, atol=1e-5)
@@ -123,7 +116,8 @@ def test_an_architecture_is_a_static_argument_with_the_papers_widths():
 @functools.cache
 def initial(arch):
     """Parameters as the model initialises them."""
-    return jax.jit(init, static_argnums=1)(jax.random.key(1), arch)
+    quick = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+    return jax.jit(init, static_argnums=1, compiler_options=quick)(jax.random.key(1), arch)
 
 
 WIDE = Architecture(hidden=256, last_hidden=192, logvar_bias=-2.5)

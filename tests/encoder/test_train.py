@@ -20,7 +20,8 @@ from tests.encoder.test_model import UAV, UGV
 from tests.oracles import encoder as oracle
 
 TERMS = ["loss", "reconstruction", "localization", "rate", "orthogonality"]
-SHORT = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=5, batch=64, warmup=1)
+# As many rows in a batch as there are: one step an epoch, so that the metrics show every step.
+RUN = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=300, batch=64, warmup=10)
 
 
 @functools.cache
@@ -50,7 +51,11 @@ def assert_trees_close(a, b, rtol, atol):
 
 
 # The networks are tiny and the programs are not: most of the time would go to optimising machine code.
-QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+QUICK = {
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+    "xla_cpu_use_fusion_emitters": False,
+}
 quick_jit = functools.partial(jax.jit, static_argnums=3, compiler_options=QUICK)
 
 
@@ -64,9 +69,9 @@ train, train_grid, sample = quick_jit(fit), quick_jit(fit_grid), quick_jit(sampl
 
 
 GRID = [
-    make_hypers(),
-    make_hypers(),
-    make_hypers(beta=0.5, gamma=3.0),
+    make_hypers(lr=1e-2),
+    make_hypers(lr=1e-2),
+    make_hypers(lr=1e-2, beta=0.5, gamma=3.0),
     make_hypers(alpha=5.0, lr=1e-2, weight_decay=0.1),
     make_hypers(lr=0.0),
     make_hypers(lr=0.0, beta=0.7, gamma=9.0, weight_decay=0.5),
@@ -74,9 +79,9 @@ GRID = [
 
 
 @functools.cache
-def short_grid():
-    """Two seeds by six members, a few steps."""
-    return jax.device_get(train_grid(jax.random.split(jax.random.key(3), 2), stack(*GRID), make_data(), SHORT))
+def grid_run():
+    """Two seeds by six members."""
+    return jax.device_get(train_grid(jax.random.split(jax.random.key(3), 2), stack(*GRID), make_data(), RUN))
 
 
 # ---- sampling ----
@@ -110,7 +115,7 @@ def test_a_biased_sampler_would_be_noticed():
 
 
 def test_noise_is_standard_normal_and_fresh_for_each_coordinate():
-    batch = draw(1, SHORT, make_data(), 10_000)
+    batch = draw(1, RUN, make_data(), 10_000)
     noise = np.asarray(batch.noise, np.float64)
     assert noise.shape == (10_000, 8) and batch.noise.dtype == jnp.float32
     assert stats.kstest(noise.ravel(), "norm").pvalue > 1e-3
@@ -121,7 +126,7 @@ def test_noise_is_standard_normal_and_fresh_for_each_coordinate():
 
 def test_rows_and_masks_belong_to_the_index():
     data, index = make_data(), jnp.array([5, 5, 0, 63, 17])
-    batch = sample(jax.random.key(0), index, data, SHORT)
+    batch = sample(jax.random.key(0), index, data, RUN)
     np.testing.assert_array_equal(batch.x, np.asarray(data.x)[np.asarray(index)])
     np.testing.assert_array_equal(batch.y, np.asarray(data.y)[np.asarray(index)])
     shapes = [(5, 5, 6), (5, 3), (5, 5), (5, 8), (5, 8)]
@@ -131,13 +136,13 @@ def test_rows_and_masks_belong_to_the_index():
 
 def test_a_batch_is_a_function_of_its_key_and_row_numbers():
     data = make_data()
-    batch = draw(4, SHORT, data, 64)
-    assert_trees_equal(batch, draw(4, SHORT, data, 64))
-    other = draw(5, SHORT, data, 64)
+    batch = draw(4, RUN, data, 64)
+    assert_trees_equal(batch, draw(4, RUN, data, 64))
+    other = draw(5, RUN, data, 64)
     for name in ("view_mask", "prefix_mask", "noise"):
         assert not np.array_equal(getattr(batch, name), getattr(other, name))
     # Masks and noise ignore what the rows hold.
-    blank = draw(4, SHORT, data._replace(x=data.x * 0, y=data.y * 0), 64)
+    blank = draw(4, RUN, data._replace(x=data.x * 0, y=data.y * 0), 64)
     for name in ("view_mask", "prefix_mask", "noise"):
         np.testing.assert_array_equal(getattr(batch, name), getattr(blank, name))
 
@@ -148,37 +153,54 @@ def visited_rows(metrics, per_epoch):
     return [frozenset(i for i in range(64) if (round(total) >> i) & 1) for total in sums]
 
 
-@functools.cache
-def blind_epochs(n, batch, steps, seed):
+def blind_data(n):
     y = np.array([[2.0 ** (i // 2), 2.0 ** (i // 2) if i % 2 else 0.0, 0.0] for i in range(n)], np.float32)
-    data = TrainData(make_data().x[:n], jnp.array(y), jnp.zeros((1, 5), jnp.float32))
-    static = TrainConfig(arch=UAV, prefixes=(8,), steps=steps, batch=batch, warmup=1)
-    hypers = stack(make_hypers(lr=0.0), make_hypers(lr=0.0, beta=3.0, gamma=2.0))
-    params, metrics = train_grid(jax.random.key(seed)[None], hypers, data, static)
+    return TrainData(make_data().x[:n], jnp.array(y), jnp.zeros((1, 5), jnp.float32))
+
+
+def blind_epochs(seed, static):
+    hypers = stack(make_hypers(lr=0.0), make_hypers(lr=0.0, beta=3.0, gamma=2.0, weight_decay=1.0))
+    params, metrics = train_grid(jax.random.key(seed)[None], hypers, blind_data(10), static)
     position = locate(lane(params, 0, 0), jnp.zeros((1, 30), jnp.float32), UAV)
     np.testing.assert_array_equal(position, 0.0)
     return lane(metrics, 0, 0), lane(metrics, 0, 1)
 
 
 def test_an_epoch_visits_every_row_at_most_once_in_a_fresh_order():
-    ours, other = (visited_rows(metrics, 8) for metrics in blind_epochs(10, 4, 24, 0))
+    static = TrainConfig(arch=UAV, prefixes=(8,), steps=24, batch=4, warmup=1)
+    ours, other = (visited_rows(metrics, 8) for metrics in blind_epochs(0, static))
     # 10 rows in batches of 4: 8 distinct rows in each of 24 / 2 epochs.
     assert len(ours) == 12 and all(len(rows) == 8 for rows in ours)
     assert len(set(ours)) > 6
     assert frozenset.union(*ours) == frozenset(range(10))
     # The order follows the seed alone.
     assert ours == other
-    again, _ = (visited_rows(metrics, 8) for metrics in blind_epochs(10, 4, 24, 1))
+    again, _ = (visited_rows(metrics, 8) for metrics in blind_epochs(1, static))
     assert again != ours
 
 
+ONE_STEP = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=1, batch=128, warmup=1)
+
+
 def test_fewer_rows_than_a_batch_are_one_batch():
-    for metrics in blind_epochs(10, 128, 5, 0):
-        assert visited_rows(metrics, 10) == [frozenset(range(10))] * 5
+    for metrics in blind_epochs(0, ONE_STEP):
+        assert visited_rows(metrics, 10) == [frozenset(range(10))]
         assert all(np.all(np.isfinite(metrics[name])) for name in TERMS)
 
 
 # ---- optimizer ----
+
+
+def optimizer_of(hypers, static, total):
+    """init and update; optax itself raises a float to an int32 power, which strict promotion forbids."""
+    optimizer = make_optimizer(hypers, static, total)
+
+    @jax.jit
+    def update(grads, state, params):
+        with jax.numpy_dtype_promotion("standard"):
+            return optimizer.update(grads, state, params)
+
+    return optimizer.init, update
 
 
 @pytest.mark.parametrize("weight_decay", [0.0, 0.3])
@@ -189,9 +211,9 @@ def test_the_optimizer_is_adamw_with_warm_up_and_cosine(weight_decay):
     grads = {k: (rng.normal(size=(total, *v.shape)) * 10 ** rng.uniform(-3, 2)).astype("f") for k, v in params.items()}
     static = TrainConfig(arch=UAV, warmup=warmup)
     hypers = make_hypers(lr=peak, weight_decay=weight_decay)
-    optimizer = make_optimizer(hypers, static, total)
-    state, path, current = optimizer.init(jax.tree.map(jnp.array, params)), [], jax.tree.map(jnp.array, params)
-    update = jax.jit(optimizer.update)
+    start, update = optimizer_of(hypers, static, total)
+    current, path = jax.tree.map(jnp.array, params), []
+    state = start(current)
     for step in range(total):
         updates, state = update(jax.tree.map(lambda g, step=step: jnp.array(g[step]), grads), state, current)
         current = optax.apply_updates(current, updates)
@@ -207,42 +229,47 @@ def test_the_optimizer_is_adamw_with_warm_up_and_cosine(weight_decay):
 def test_warm_up_never_takes_more_than_a_fifth_of_a_short_run():
     hypers, params = make_hypers(lr=1.0, weight_decay=0.0), jnp.zeros(1)
     sizes = []
-    optimizer = make_optimizer(hypers, TrainConfig(arch=UAV, warmup=200), 10)
-    state = optimizer.init(params)
+    start, update = optimizer_of(hypers, TrainConfig(arch=UAV, warmup=200), 10)
+    state = start(params)
     for _ in range(10):
         # With a constant gradient an Adam step has the length of the learning rate.
-        updates, state = optimizer.update(jnp.ones(1), state, params)
+        updates, state = update(jnp.ones(1), state, params)
         sizes.append(-float(updates[0]))
     np.testing.assert_allclose(sizes, [oracle.learning_rate(i, 1.0, 2, 10) for i in range(10)], rtol=1e-4, atol=1e-5)
 
 
 def test_the_first_step_moves_each_parameter_by_the_learning_rate():
-    static = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=1, batch=64, warmup=1)
-    hypers = stack(make_hypers(lr=0.0), make_hypers(lr=1e-3, weight_decay=0.0), make_hypers(lr=1e-3, weight_decay=2.0))
-    params, _ = train_grid(jax.random.key(0)[None], hypers, make_data(), static)
-    start, plain, decayed = (lane(params, 0, i) for i in range(3))
-    moved = np.concatenate([np.ravel(b - a) for a, b in zip(*map(jax.tree.leaves, (start, plain)), strict=True)])
-    assert np.abs(moved).max() < 1.01e-3 and np.mean(np.abs(moved) > 0.98e-3) > 0.95
+    data = blind_data(10)._replace(mode_masks=jnp.ones((1, 5), jnp.float32))
+
+    def run(*hypers):
+        params, _ = train_grid(jax.random.key(0)[None], stack(*hypers), data, ONE_STEP)
+        return lane(params, 0, 0), lane(params, 0, 1)
+
+    start, plain = run(make_hypers(lr=0.0), make_hypers(lr=1e-3, weight_decay=0.0))
+    moved = [np.ravel(b - a) for a, b in zip(*map(jax.tree.leaves, (start, plain)), strict=True)]
+    moved = np.abs(np.concatenate(moved))
+    assert moved.max() < 1.01e-3 and np.mean(moved > 0.98e-3) > 0.95
+    decayed, half = run(make_hypers(lr=1e-3, weight_decay=2.0), make_hypers(lr=5e-4, weight_decay=0.0))
     shrunk = jax.tree.map(lambda a, b: b - np.float32(2e-3) * a, start, plain)
     assert_trees_close(decayed, shrunk, rtol=1e-4, atol=1e-6)
+    assert_trees_close(half, jax.tree.map(lambda a, b: (a + b) / 2, start, plain), rtol=1e-4, atol=1e-6)
 
 
 # ---- fit ----
 
 
-@pytest.mark.parametrize(("n_views", "prior"), [(5, "gaussian"), (4, "ard")])
-def test_training_lowers_the_loss(n_views, prior):
-    static = TrainConfig(
-        arch=UAV if n_views == 5 else UGV, prefixes=(2, 5, 8), prior=prior, steps=400, batch=32, warmup=20
-    )
-    params, metrics = train(jax.random.key(0), make_hypers(lr=1e-2), make_data(n_views), static)
+def assert_learned(metrics):
     assert sorted(metrics) == sorted(TERMS)
-    # 64 rows in batches of 32: two steps an epoch.
     for name in TERMS:
-        assert metrics[name].shape == (200,) and metrics[name].dtype == jnp.float32
+        assert metrics[name].shape == (300,) and metrics[name].dtype == jnp.float32
         assert np.all(np.isfinite(metrics[name]))
     for name in ("loss", "reconstruction", "localization"):
         assert np.mean(metrics[name][-20:]) < 0.6 * metrics[name][0], name
+
+
+def test_training_lowers_the_loss():
+    params, metrics = train(jax.random.key(0), make_hypers(lr=1e-2), make_data(), RUN)
+    assert_learned(metrics)
     total = metrics["reconstruction"] + metrics["localization"]
     total = total + 1e-3 * metrics["rate"] + 0.1 * metrics["orthogonality"]
     np.testing.assert_allclose(metrics["loss"], total, rtol=1e-4)
@@ -258,9 +285,9 @@ def test_steps_are_rounded_up_to_whole_epochs_and_few_rows_make_a_small_batch(n,
 
 def test_a_run_is_a_function_of_its_key():
     data = make_data()
-    first = train(jax.random.key(11), make_hypers(), data, SHORT)
-    assert_trees_equal(first, train(jax.random.key(11), make_hypers(), data, SHORT))
-    other = train(jax.random.key(12), make_hypers(), data, SHORT)
+    first = train(jax.random.key(11), make_hypers(), data, RUN)
+    assert_trees_equal(first, train(jax.random.key(11), make_hypers(), data, RUN))
+    other = train(jax.random.key(12), make_hypers(), data, RUN)
     assert np.all(first[1]["loss"] != other[1]["loss"])
     for a, b in zip(jax.tree.leaves(first[0]), jax.tree.leaves(other[0]), strict=True):
         assert not np.array_equal(a, b)
@@ -268,23 +295,20 @@ def test_a_run_is_a_function_of_its_key():
 
 @pytest.mark.parametrize(("seed", "member"), [(0, 0), (0, 2), (1, 3), (1, 5)])
 def test_a_member_alone_equals_its_lane_of_the_grid(seed, member):
-    params, metrics = short_grid()
+    _, metrics = grid_run()
     key = jax.random.split(jax.random.key(3), 2)[seed]
-    alone_params, alone_metrics = train(key, GRID[member], make_data(), SHORT)
+    _, alone = train(key, GRID[member], make_data(), RUN)
     for name in TERMS:
-        assert metrics[name].shape == (2, 6, 5)
-        np.testing.assert_allclose(metrics[name][seed, member], alone_metrics[name], rtol=1e-4, err_msg=name)
-    # Adam divides a gradient by its size, so a gradient of rounding noise may turn a step around.
-    atol = 1e-2 * max(float(GRID[member].lr), 1e-4)
-    far = [
-        np.mean(np.abs(a - b) > atol + 1e-4 * np.abs(b))
-        for a, b in zip(*map(jax.tree.leaves, (lane(params, seed, member), alone_params)), strict=True)
-    ]
-    assert np.mean(far) < 0.01
+        assert metrics[name].shape == (2, 6, 300)
+        # Later steps drift: Adam divides a gradient by its size, so one of rounding noise may turn a step around.
+        ours, theirs = metrics[name][seed, member, :6], alone[name][:6]
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, err_msg=name)
+    if GRID[member].lr > 0:
+        assert np.ptp(alone["orthogonality"][:6]) > 1e-4 * alone["orthogonality"][0]
 
 
 def test_lanes_differ():
-    _, metrics = short_grid()
+    _, metrics = grid_run()
     last = metrics["loss"][:, :, -1]
     # Members 0 and 1 have equal hyperparameters; all others and both seeds are apart.
     assert len({round(float(value), 5) for value in last[:, 1:].ravel()}) == 10
@@ -292,14 +316,14 @@ def test_lanes_differ():
 
 
 def test_equal_hyperparameters_and_key_are_equal_to_the_bit():
-    params, metrics = short_grid()
+    params, metrics = grid_run()
     for seed in range(2):
         assert_trees_equal(lane(params, seed, 0), lane(params, seed, 1))
         assert_trees_equal(lane(metrics, seed, 0), lane(metrics, seed, 1))
 
 
 def test_members_of_a_seed_see_the_same_rows_masks_and_noise():
-    params, metrics = short_grid()
+    params, metrics = grid_run()
     for seed in range(2):
         # A learning rate of zero stops the parameters, whatever the other weights.
         assert_trees_equal(lane(params, seed, 4), lane(params, seed, 5))
@@ -309,20 +333,30 @@ def test_members_of_a_seed_see_the_same_rows_masks_and_noise():
             np.testing.assert_allclose(metrics[name][seed, :, 0], metrics[name][seed, 0, 0], rtol=1e-5)
         assert np.all(metrics["loss"][seed, 4] != metrics["loss"][seed, 5])
         # The draws do change from step to step, also for parameters that stand still.
-        assert len(set(metrics["reconstruction"][seed, 4].tolist())) == 5
+        assert len(set(metrics["reconstruction"][seed, 4].tolist())) > 290
     assert np.all(metrics["reconstruction"][0, 4] != metrics["reconstruction"][1, 4])
+
+
+def test_masks_and_noise_are_fresh_at_every_step():
+    # With equal rows the order of rows has no part in what the metrics see; the learning rate is zero in lane 4.
+    data = make_data()
+    data = data._replace(x=data.x[:1].repeat(64, axis=0), y=data.y[:1].repeat(64, axis=0))
+    _, metrics = train_grid(jax.random.split(jax.random.key(3), 2), stack(*GRID), data, RUN)
+    for name in ("reconstruction", "localization", "rate"):
+        for seed in range(2):
+            assert len(set(np.asarray(metrics[name])[seed, 4].tolist())) > 250, name
 
 
 def test_members_may_differ_in_every_hyperparameter():
     assert set(Hypers._fields) == {"alpha", "beta", "gamma", "lr", "weight_decay"}
-    base = make_hypers()
-    _, reference = short_grid()
+    base = GRID[0]
+    _, reference = grid_run()
     keys = jax.random.split(jax.random.key(3), 2)
     changed = [base._replace(**{name: jnp.float32(0.9)}) for name in Hypers._fields]
-    _, metrics = train_grid(keys, stack(base, *changed), make_data(), SHORT)
-    np.testing.assert_allclose(metrics["loss"][:, 0], reference["loss"][:, 0], rtol=1e-4)
+    _, metrics = train_grid(keys, stack(base, *changed), make_data(), RUN)
+    np.testing.assert_array_equal(metrics["loss"][:, 0], reference["loss"][:, 0])
     for member, name in enumerate(Hypers._fields, start=1):
-        assert np.all(metrics["loss"][:, member, -1] != metrics["loss"][:, 0, -1]), name
+        assert np.all(metrics["loss"][:, member, 5] != metrics["loss"][:, 0, 5]), name
 
 
 # ---- compilation ----
@@ -348,7 +382,9 @@ class Compilations(logging.Handler):
             self.names.append(message.removeprefix("Finished XLA compilation of ").split(" in ")[0])
 
 
-def test_a_grid_compiles_once_and_a_second_grid_of_other_values_never():
+@functools.cache
+def two_grids():
+    """Programs compiled by a first grid, by a second of other values, by the first again; traces; metrics."""
     traces = []
 
     @quick_jit
@@ -356,25 +392,48 @@ def test_a_grid_compiles_once_and_a_second_grid_of_other_values_never():
         traces.append(static)
         return fit_grid(keys, hypers, data, static)
 
-    static = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=2, batch=16, warmup=1)
-
     def inputs(seed):
         rng = np.random.default_rng(seed)
-        hypers = Hypers(*(jnp.array(rng.uniform(1e-3, 1e-2, 3), jnp.float32) for _ in Hypers._fields))
-        return jax.random.split(jax.random.key(seed), 2), hypers, make_data(n=40, seed=seed)
+        ranges = {
+            "alpha": (0.5, 2),
+            "beta": (1e-4, 1e-2),
+            "gamma": (0.01, 1),
+            "lr": (5e-3, 2e-2),
+            "weight_decay": (0, 0.1),
+        }
+        hypers = Hypers(**{name: jnp.array(rng.uniform(*ends, 3), jnp.float32) for name, ends in ranges.items()})
+        # Equal settings written anew are the same static argument.
+        static = TrainConfig(arch=UGV, prefixes=(2, 5, 8), prior="ard", steps=300, batch=20, warmup=10)
+        return jax.random.split(jax.random.key(seed), 2), hypers, make_data(4, n=40, seed=seed), static
 
-    # Inputs are made before the count starts; equal settings written anew are the same static argument.
-    first, second = jax.block_until_ready((inputs(0), inputs(1)))
-    twin = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=2, batch=16, warmup=1)
-    with Compilations() as compiled:
-        one = jax.block_until_ready(grid(*first, static))
-    assert len(compiled.names) == 1 and "grid" in compiled.names[0] and len(traces) == 1
-    with Compilations() as compiled:
-        two = jax.block_until_ready(grid(*second, twin))
-        same = jax.block_until_ready(grid(*first, twin))
-    assert compiled.names == [] and len(traces) == 1
-    assert not np.array_equal(one[1]["loss"], two[1]["loss"])
-    assert_trees_equal(one, same)
+    # Inputs are made before the count starts.
+    first, second, again = inputs(0), inputs(1), inputs(0)
+    jax.block_until_ready((first[:3], second[:3], again[:3]))
+    counts, outputs = [], []
+    for arguments in (first, second, again):
+        with Compilations() as compiled:
+            outputs.append(jax.block_until_ready(grid(*arguments)))
+        counts.append(compiled.names)
+    return counts, traces, jax.device_get(outputs)
+
+
+def test_a_grid_compiles_once_and_a_second_grid_of_other_values_never():
+    (first, second, again), traces, outputs = two_grids()
+    assert len(first) == 1 and "grid" in first[0]
+    assert second == [] and again == [] and len(traces) == 1
+    assert np.all(outputs[0][1]["loss"] != outputs[1][1]["loss"])
+    assert_trees_equal(outputs[0], outputs[2])
+
+
+def test_the_fixed_rate_model_of_a_ugv_learns_in_every_lane():
+    _, _, outputs = two_grids()
+    for _, metrics in outputs[:2]:
+        for seed, member in np.ndindex(2, 3):
+            # 40 rows in batches of 20: two steps an epoch.
+            series = lane(metrics, seed, member)
+            assert series["rate"].shape == (150,) and np.all(series["rate"] > 0)
+            assert np.mean(series["localization"][-20:]) < 0.6 * series["localization"][0]
+            assert np.mean(series["reconstruction"][-20:]) < 0.6 * series["reconstruction"][0]
 
 
 def test_the_counter_sees_a_new_program():
