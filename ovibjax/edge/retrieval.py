@@ -13,11 +13,13 @@ def normalize(rows: jax.Array) -> jax.Array:
 
 
 def brute_force(query: jax.Array, db: jax.Array) -> jax.Array:
-    """Index of the most similar database row of each query; ties go to the lower index.
+    """Index of the most similar database row of each query.
+
+    Equal similarities go to the lower index; rows that are duplicates of each other may differ by rounding.
 
     Args:
         query: [Q, d] descriptors; their scale does not matter.
-        db: [N, d] reference descriptors, any scale.
+        db: [N, d] reference descriptors; squared norms must stay in float32's range.
 
     Returns:
         [Q] int32 rows of `db`. Memory is bounded by blocks of queries.
