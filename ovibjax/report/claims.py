@@ -6,27 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import stdtrit
 
 HELD, ON_AVERAGE, NOT_HELD, REPORTED = "held", "held on average", "not held", "reported"
-
-# Two-sided 97.5 % quantiles of Student's t by degrees of freedom; beyond the table the normal value is close enough.
-_T975 = (
-    12.706,
-    4.303,
-    3.182,
-    2.776,
-    2.571,
-    2.447,
-    2.365,
-    2.306,
-    2.262,
-    2.228,
-    2.201,
-    2.179,
-    2.160,
-    2.145,
-    2.131,
-)
 
 
 @dataclass(frozen=True)
@@ -69,7 +51,7 @@ def interval(values: Sequence[float] | np.ndarray) -> Interval:
     array = np.asarray(values, np.float64)
     if len(array) < 2:
         return Interval(float(array.mean()), float("inf"))
-    t = _T975[len(array) - 2] if len(array) - 2 < len(_T975) else 1.96
+    t = float(stdtrit(len(array) - 1, 0.975))
     return Interval(float(array.mean()), float(t * array.std(ddof=1) / np.sqrt(len(array))))
 
 
