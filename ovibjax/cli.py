@@ -36,7 +36,7 @@ class Reproduce:
     seed: int = 0
     """First seed; a figure over n seeds uses SEED ... SEED+n-1."""
     rank: int = 64
-    """Principal coordinates kept per view (fitted on training frames); 0 keeps the full dimension, 4 x slower."""
+    """Principal coordinates kept per view (fitted on training frames); 0 keeps the full dimension, slower."""
     sweep: Path | None = None
     """A sweep file of your own (a Python file with TITLE and run(job)), run instead of the figures."""
 

@@ -116,7 +116,7 @@ def test_an_architecture_is_a_static_argument_with_the_papers_widths():
 @functools.cache
 def initial(arch):
     """Parameters as the model initialises them."""
-    quick = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+    quick = {"xla_backend_optimization_level": 0}
     return jax.jit(init, static_argnums=1, compiler_options=quick)(jax.random.key(1), arch)
 
 

@@ -54,7 +54,6 @@ def assert_trees_close(a, b, rtol, atol):
 QUICK = {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
-    "xla_cpu_use_fusion_emitters": False,
 }
 quick_jit = functools.partial(jax.jit, static_argnums=3, compiler_options=QUICK)
 
