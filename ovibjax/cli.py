@@ -1,16 +1,19 @@
-"""The command line: `ovibjax reproduce` and `ovibjax town`.
+"""The command line: `ovibjax reproduce`, `sweep`, `show` and `town`.
 
 The only place, with the tests' `conftest.py`, where process-wide settings are made.
 """
 
+import difflib
 import os
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from ovibjax.cli_sweep import Show, SweepTrain
 from ovibjax.errors import InputError
 from ovibjax.progress import console
 
@@ -33,8 +36,8 @@ class Reproduce:
     """Your own feature set: a .npz file, or a folder view_features/<Camera>/<frame>.npz (keys feature, position)."""
     backbone: str = "embedded"
     """Image backbone of the embedded town."""
-    seed: int = 0
-    """First seed; a figure over n seeds uses SEED ... SEED+n-1."""
+    seed: int = 100
+    """First seed; a figure over n seeds uses SEED ... SEED+n-1. Seeds below 100 are for tuning."""
     rank: int = 64
     """Principal coordinates kept per view (fitted on training frames); 0 keeps the full dimension, slower."""
     sweep: Path | None = None
@@ -87,24 +90,56 @@ class TownCommand:
             console.print(f"frames: {self.out}")
 
 
-Command = Annotated[Reproduce, tyro.conf.subcommand("reproduce")] | Annotated[TownCommand, tyro.conf.subcommand("town")]
+Command = (
+    Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+    | Annotated[SweepTrain, tyro.conf.subcommand("sweep")]
+    | Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[TownCommand, tyro.conf.subcommand("town")]
+)
+
+_OPTIONS: dict[tuple[str, ...], type] = {
+    ("reproduce",): Reproduce,
+    ("sweep", "train"): SweepTrain,
+    ("show",): Show,
+    ("town",): TownCommand,
+}
+
+
+def check_options(arguments: Sequence[str]) -> None:
+    """Refuse a misspelt option in one line that names the nearest one.
+
+    Args:
+        arguments: the command line without the program's name.
+
+    Raises:
+        InputError: an option that the command does not have.
+    """
+    for words, command in _OPTIONS.items():
+        if tuple(arguments[: len(words)]) != words:
+            continue
+        known = ["help", *(field.name.replace("_", "-") for field in fields(command))]
+        for argument in arguments[len(words) :]:
+            name = argument[2:].partition("=")[0].replace("_", "-")
+            if argument.startswith("--") and name.removeprefix("no-") not in known:
+                near = difflib.get_close_matches(name, known, n=1)
+                hint = f"did you mean --{near[0]}?" if near else f"there are --{', --'.join(known)}"
+                raise InputError(f"--{name}: {' '.join(words)} has no such option; {hint}")
 
 
 def main() -> None:
     """Entry point of the console script; bad input is one line and exit code 2."""
-    from ovibjax.reproduce import Interrupted
-
-    command: Command = tyro.cli(
-        Command,
-        prog="ovibjax",
-        description="Task-oriented communications for edge-assisted multi-view localization, for people who sweep.",
-    )
     try:
+        check_options(sys.argv[1:])
+        command: Command = tyro.cli(
+            Command,
+            prog="ovibjax",
+            description="Task-oriented communications for edge-assisted multi-view localization, for people who sweep.",
+        )
         command.run()
     except InputError as error:
         print(f"ovibjax: {error}", file=sys.stderr)
         sys.exit(2)
-    except (Interrupted, KeyboardInterrupt) as error:
+    except KeyboardInterrupt as error:
         print(f"ovibjax: {error or 'interrupted'}", file=sys.stderr)
         sys.stderr.flush()
         # Compiled programs still running in worker threads cannot be stopped; do not wait for them.

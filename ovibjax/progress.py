@@ -10,7 +10,7 @@ console = Console(stderr=True)
 
 
 @contextmanager
-def progress_bar(description: str, total: int) -> Iterator[Callable[[int], None]]:
+def progress_bar(description: str, total: int) -> Iterator[Callable[..., None]]:
     """A bar that appears on its first update.
 
     Args:
@@ -18,19 +18,19 @@ def progress_bar(description: str, total: int) -> Iterator[Callable[[int], None]
         total: steps in all.
 
     Yields:
-        A function that takes the number of finished steps.
+        A function that takes the number of finished steps, and the number of all if that was not known before.
     """
     text = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     bar = Progress(*text, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
     task = bar.add_task(description, total=total)
     started = False
 
-    def update(done: int) -> None:
+    def update(done: int, all_steps: int = total) -> None:
         nonlocal started
         if not started:
             bar.start()
             started = True
-        bar.update(task, completed=done)
+        bar.update(task, completed=done, total=all_steps)
 
     try:
         yield update

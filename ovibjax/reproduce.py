@@ -3,24 +3,30 @@
 import importlib.util
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
+
+import xarray
 
 import ovibjax
 from ovibjax.errors import InputError
-from ovibjax.features.embedded import PAPER_FRAMES, town_features
+from ovibjax.features.embedded import PAPER_FRAMES, cache_folder, town_features
 from ovibjax.features.frames import FeatureSet, load, require_frames
 from ovibjax.features.town import TownConfig
 from ovibjax.progress import console, progress_bar
 from ovibjax.report.page import write_page
+from ovibjax.sweep.layout import digest
+from ovibjax.sweep.run import Interrupted as SweepInterrupted
+from ovibjax.sweep.run import run
 
 PRESETS = ("smoke", "quick", "full")
 _SMOKE_FRAMES = 400
 
 
-class Interrupted(Exception):
+class Interrupted(KeyboardInterrupt):
     """Ctrl-C came; the message says what was kept."""
 
 
@@ -45,6 +51,42 @@ class Job:
     features: FeatureSet
     source: str
     rank: int | None
+
+    def sweep(self, description: str, fn: Any, axes: Mapping[str, Any], shared: Any, **options: Any) -> xarray.Dataset:
+        """`sweep.run` with a progress bar and a store in the cache folder: an interrupted figure goes on from there.
+
+        Args:
+            description: what the bar says.
+            fn: member function.
+            axes: values per axis.
+            shared: data.
+            options: further options of `sweep.run`.
+
+        Returns:
+            The dataset, complete.
+
+        Raises:
+            Interrupted: Ctrl-C; finished members are kept.
+        """
+        used: list[Path] = []
+        folder = cache_folder() / "sweeps"
+
+        def store(config: dict[str, Any]) -> Path:
+            used.append(folder / f"{self.name}-{description.split()[0]}-{digest(config)[:16]}.zarr")
+            return used[0]
+
+        with progress_bar(description, 1) as update:
+            try:
+                dataset = run(fn, axes, shared, store=store, on_progress=update, **options)
+            except SweepInterrupted as error:
+                finished = error.dataset.finished
+                kept = f"{int(finished.sum())} of {finished.size} members are kept"
+                raise Interrupted(f"interrupted; {kept}: repeat the command to go on") from None
+        # Earlier versions of this figure's sweep are of no more use.
+        for other in folder.glob(f"{self.name}-{description.split()[0]}-*.zarr"):
+            if other not in used:
+                shutil.rmtree(other, ignore_errors=True)
+        return dataset
 
     @property
     def embedded(self) -> bool:
@@ -121,7 +163,7 @@ def reproduce(
     out: Path = Path("results"),
     data: Path | None = None,
     backbone: str = "embedded",
-    seed: int = 0,
+    seed: int = 100,
     sweep: Path | None = None,
     rank: int | None = 64,
 ) -> Path:

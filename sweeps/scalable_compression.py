@@ -1,10 +1,8 @@
 """Fig. "Scalable O-VIB compression" and Table "Deployment overhead": one nested encoder against its rivals."""
 
-import csv
 import json
 import time
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -27,12 +25,13 @@ from ovibjax.progress import progress_bar
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, above, below, interval, write_claims
 from ovibjax.report.provenance import provenance
+from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Interrupted, Job
 from ovibjax.threads import in_threads
 
 TITLE = "Scalable O-VIB compression"
 LINK_KB_PER_S = 8
-SEEDS = {"smoke": 2, "quick": 3, "full": 3}
+SEEDS = {"smoke": 2, "quick": 3, "full": 5}
 EFFORTS = {
     "smoke": Effort(steps=60, fixed_steps=30, lr=3e-3),
     "quick": Effort(steps=2200, fixed_steps=800, lr=3e-3),
@@ -72,8 +71,8 @@ def run(job: Job) -> None:
     member, basis = prepared[next(iter(finished))]
     results = collect(finished, raw_floats=int(np.prod(job.features.features.shape[1:])))
     host = measure_encoder(results, member)
-    _write_csv(job.out / "table.csv", table_rows(results))
-    _write_csv(
+    write_rows(job.out / "table.csv", table_rows(results))
+    write_rows(
         job.out / "overhead.csv",
         overhead_rows(results, host, 4 * (basis.axes.size + basis.mean.size), LINK_KB_PER_S, PAPER_LATENCY_MS),
     )
@@ -350,10 +349,3 @@ def _draw_latency(ax: Axes, results: Results, host: LatencyProfile) -> None:
     ax.legend(loc="upper right")
     fig.plain_log_ticks(ax.xaxis, subs=(1.0,))
     fig.title(ax, "d", "latency after feature extraction")
-
-
-def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)

@@ -91,6 +91,7 @@ def judge_prefixes(
     prefixes: jax.Array,
     pca: PCA | None = None,
     recode: bool = False,
+    order: jax.Array | None = None,
 ) -> Judged:
     """Judge every prefix length of one nested code; jitted once, all prefixes are one call.
 
@@ -102,13 +103,15 @@ def judge_prefixes(
         prefixes: [P] int32 prefix lengths.
         pca: use this linear code instead of the network's; the localizer stays the same.
         recode: also pass the database through the codec.
+        order: [K] coordinates in the order in which they are kept; the learned order by default.
 
     Returns:
         `Judged` with leading axis P.
     """
+    position = jnp.arange(arch.latent) if order is None else jnp.argsort(order)
 
     def one(k: jax.Array) -> Judged:
-        prefix = (jnp.arange(arch.latent) < k).astype(jnp.float32)
+        prefix = (position < k).astype(jnp.float32)
 
         def codec(x: jax.Array) -> jax.Array:
             if pca is not None:

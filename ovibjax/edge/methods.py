@@ -81,12 +81,12 @@ def prefixes_of(method: str) -> np.ndarray:
 def train_config(method: str, member: Member, effort: Effort) -> TrainConfig:
     """Static choices of a trained method."""
     views, dim = member.train.x.shape[1:]
-    base = TrainConfig(arch=Architecture(n_views=views, view_dim=dim, latent=LATENT), steps=effort.steps)
+    arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
+    base = TrainConfig(arch=arch, steps=effort.steps, precision="bfloat16")
     if not method.startswith("fixed_"):
         return base
     latent = int(method.removeprefix("fixed_"))
-    arch = replace(base.arch, latent=latent)
-    return replace(base, arch=arch, prefixes=(latent,), prior="ard", steps=effort.fixed_steps)
+    return replace(base, arch=replace(arch, latent=latent), prefixes=(latent,), prior="ard", steps=effort.fixed_steps)
 
 
 def hypers_of(method: str, effort: Effort) -> Hypers:

@@ -1,11 +1,12 @@
 """The composite objective of O-VIB and its masks (paper, eqs. "prefix_mask" and "composite_loss")."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 
-from ovibjax.encoder.model import Architecture, Params, decode, encode, locate, mean_projection
+from ovibjax.encoder.model import OVIB, Architecture, Params, mean_projection, split_views
 from ovibjax.encoder.rate import ard_kl, gaussian_kl
 
 
@@ -18,6 +19,8 @@ class Hypers(NamedTuple):
         gamma: weight of the orthogonality penalty.
         lr: peak learning rate.
         weight_decay: decoupled weight decay of AdamW.
+        nesting: share of examples that see a random prefix; the others see all K coordinates. 1 is the paper's
+            nested training, 0 is none.
     """
 
     alpha: jax.Array
@@ -25,6 +28,7 @@ class Hypers(NamedTuple):
     gamma: jax.Array
     lr: jax.Array
     weight_decay: jax.Array
+    nesting: jax.Array
 
 
 def make_hypers(
@@ -33,9 +37,10 @@ def make_hypers(
     gamma: float = 0.1,
     lr: float = 2e-3,
     weight_decay: float = 1e-4,
+    nesting: float = 1.0,
 ) -> Hypers:
     """Hyperparameters as float32 arrays; defaults are the paper's (alpha, beta, gamma)."""
-    return Hypers(*(jnp.asarray(value, jnp.float32) for value in (alpha, beta, gamma, lr, weight_decay)))
+    return Hypers(*(jnp.asarray(value, jnp.float32) for value in (alpha, beta, gamma, lr, weight_decay, nesting)))
 
 
 class Batch(NamedTuple):
@@ -69,6 +74,7 @@ def prefix_mask(k: jax.Array | int, K: int) -> jax.Array:
     return (jnp.arange(K) < k).astype(jnp.float32)
 
 
+@jax.custom_vjp
 def orthogonality_penalty(W: jax.Array) -> jax.Array:
     """Normalised deviation of the rows of W from orthonormality, K^-2 ||W W^T - I||_F^2.
 
@@ -78,12 +84,33 @@ def orthogonality_penalty(W: jax.Array) -> jax.Array:
     Returns:
         Scalar (paper, last term of eq. "composite_loss").
     """
+    return _orthogonality_forward(W)[0]
+
+
+def _orthogonality_forward(W: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     size = W.shape[0]
-    return jnp.sum((W @ W.T - jnp.eye(size, dtype=W.dtype)) ** 2) / size**2
+    deviation = W @ W.T - jnp.eye(size, dtype=W.dtype)
+    return jnp.sum(deviation**2) / size**2, (W, deviation)
+
+
+def _orthogonality_backward(saved: tuple[jax.Array, jax.Array], gradient: jax.Array) -> tuple[jax.Array]:
+    # One product instead of the two of automatic differentiation, as the deviation is symmetric; written so that
+    # for a transposed kernel the transposes cancel.
+    W, deviation = saved
+    return ((4.0 / W.shape[0] ** 2) * gradient * (W.T @ deviation).T,)
+
+
+orthogonality_penalty.defvjp(_orthogonality_forward, _orthogonality_backward)
 
 
 def composite_loss(
-    params: Params, batch: Batch, hypers: Hypers, arch: Architecture, prior: str
+    params: Params,
+    batch: Batch,
+    hypers: Hypers,
+    arch: Architecture,
+    prior: str,
+    rows: Sequence[int] | None = None,
+    precision: str = "float32",
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """The training objective and each of its terms.
 
@@ -97,26 +124,33 @@ def composite_loss(
         hypers: weights of the terms.
         arch: widths of the network (static).
         prior: "gaussian" or "ard" (static).
+        rows: per view, the number of leading rows beyond which it is masked everywhere (static); all by default.
+            It changes the work, not the result.
+        precision: type of the operands of the network's products (static).
 
     Returns:
         The scalar loss, and the unweighted terms `reconstruction`, `localization`, `rate` (nats), `orthogonality`.
 
     Raises:
-        ValueError: unknown prior.
+        ValueError: unknown prior or precision.
     """
     if prior not in ("gaussian", "ard"):
         raise ValueError(f"prior is 'gaussian' or 'ard', not {prior!r}")
-    views = batch.view_mask[:, :, None]
-    x = (batch.x * views).reshape(batch.x.shape[0], -1)
-    mu, logvar = encode(params, x, arch)
-    z = (mu + jnp.exp(0.5 * logvar) * batch.noise) * batch.prefix_mask
-    descriptor = decode(params, z, arch)
+    size = batch.x.shape[0]
+    counts = tuple(rows or [size] * arch.n_views)
+    network = OVIB(arch, precision)
     # The view mask applies to the decoded descriptor as to the input.
-    descriptor = (descriptor.reshape(batch.x.shape) * views).reshape(x.shape)
-    position = locate(params, descriptor, arch)
+    masks = [batch.view_mask[:count, view, None] for view, count in enumerate(counts)]
+    views = [x * mask for x, mask in zip(split_views(batch.x, arch, counts), masks, strict=True)]
+    mu, logvar = cast(tuple[jax.Array, jax.Array], network.apply(params, views, method="encode"))
+    z = (mu + jnp.exp(0.5 * logvar) * batch.noise) * batch.prefix_mask
+    decoded = cast(list[jax.Array], network.apply(params, z, counts, method="decode"))
+    descriptor = [x * mask for x, mask in zip(decoded, masks, strict=True)]
+    position = cast(jax.Array, network.apply(params, descriptor, method="locate"))
     kl = gaussian_kl if prior == "gaussian" else ard_kl
+    squared_errors = [jnp.sum((x - y) ** 2) for x, y in zip(views, descriptor, strict=True)]
     terms = {
-        "reconstruction": jnp.mean(jnp.sum((x - descriptor) ** 2, axis=-1)) / batch.x.shape[2],
+        "reconstruction": sum(squared_errors, jnp.float32(0.0)) / (size * arch.view_dim),
         "localization": jnp.mean(jnp.sum((batch.y - position) ** 2, axis=-1)),
         "rate": jnp.mean(kl(mu, logvar)),
         "orthogonality": orthogonality_penalty(mean_projection(params)),

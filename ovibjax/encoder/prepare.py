@@ -9,7 +9,6 @@ import numpy as np
 from ovibjax.encoder.train import TrainData
 from ovibjax.features.basis import ViewBasis, fit_basis, project
 from ovibjax.features.frames import FeatureSet, split_indices
-from ovibjax.views import mask_table
 
 
 class Standardizer(NamedTuple):
@@ -66,7 +65,6 @@ def prepare(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tuple[
     train = TrainData(
         x=jnp.asarray(coordinates["train"]),
         y=jnp.asarray((train_m - mean) / scale),
-        mode_masks=mask_table(feature_set.features.shape[1]),
     )
     member = Member(
         train=train,

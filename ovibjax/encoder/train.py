@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from ovibjax.encoder.loss import Batch, Hypers, composite_loss
 from ovibjax.encoder.model import Architecture, Params, init
+from ovibjax.views import MODES, modes_for
 
 PAPER_PREFIXES = (4, 8, 16, 32, 64, 96, 128)
 
@@ -25,18 +27,22 @@ class TrainConfig:
     Attributes:
         arch: widths of the network.
         prefixes: supported prefix lengths, sampled uniformly per example; one length makes a fixed-rate model.
+        modes: view modes trained on, in equal shares of every batch; all that the platform supports by default.
         prior: "gaussian" (scalable model) or "ard" (fixed-rate model).
         steps: optimizer steps, rounded up to whole epochs.
         batch: examples per step, at most the number of training examples.
         warmup: steps of linear warm-up before the cosine decay.
+        precision: type of the operands of the network's products, "float32" or "bfloat16".
     """
 
     arch: Architecture = field(default_factory=Architecture)
     prefixes: tuple[int, ...] = PAPER_PREFIXES
+    modes: tuple[str, ...] | None = None
     prior: str = "gaussian"
     steps: int = 4000
     batch: int = 128
     warmup: int = 200
+    precision: str = "float32"
 
 
 class TrainData(NamedTuple):
@@ -45,12 +51,10 @@ class TrainData(NamedTuple):
     Attributes:
         x: [N, M, r] features, centred, unit variance overall.
         y: [N, 3] standardised positions.
-        mode_masks: [modes, M] view masks, sampled uniformly per example.
     """
 
     x: jax.Array
     y: jax.Array
-    mode_masks: jax.Array
 
 
 def make_optimizer(hypers: Hypers, static: TrainConfig, total_steps: int) -> optax.GradientTransformation:
@@ -66,30 +70,70 @@ def make_optimizer(hypers: Hypers, static: TrainConfig, total_steps: int) -> opt
     return optax.adamw(schedule, weight_decay=hypers.weight_decay)
 
 
+def view_rows(static: TrainConfig, size: int) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Share out a batch among the view modes, those with the most views first.
+
+    Args:
+        static: modes and views.
+        size: examples B; a multiple of the number of modes gives exactly equal shares.
+
+    Returns:
+        [B, M] view masks, and per view the number of leading rows that have it (modes are nested).
+
+    Raises:
+        ValueError: a mode that the platform does not support.
+    """
+    n_views = static.arch.n_views
+    supported = modes_for(n_views)
+    for mode in static.modes or ():
+        if mode not in supported:
+            raise ValueError(f"view mode {mode!r} is not one of {', '.join(supported)}")
+    modes = sorted(static.modes or supported, key=lambda mode: -len(MODES[mode]))
+    table = np.array([np.isin(np.arange(n_views), MODES[mode]) for mode in modes], np.float32)
+    masks = table[np.arange(size) * len(modes) // size]
+    return masks, tuple(int(count) for count in masks.sum(axis=0))
+
+
 def sample_batch(key: jax.Array, index: jax.Array, data: TrainData, static: TrainConfig) -> Batch:
-    """A minibatch: view mode and prefix length drawn per example, an unbiased estimate of the paper's expectation.
+    """A minibatch: equal shares of the view modes, a prefix length drawn per example.
+
+    An unbiased, lower-variance estimate of the paper's expectation over one (S, k) per minibatch.
 
     Args:
         key: the step's key.
-        index: [B] rows of the training data.
+        index: [B] rows of the training data, in random order.
         data: training data.
-        static: prefixes and latent dimension.
+        static: view modes, prefixes and latent dimension.
 
     Returns:
         The minibatch with masks and noise.
     """
-    key_mode, key_prefix, key_noise = jax.random.split(key, 3)
+    key_prefix, key_noise = jax.random.split(key)
     size, latent = index.shape[0], static.arch.latent
-    mode = jax.random.randint(key_mode, (size,), 0, data.mode_masks.shape[0])
     choice = jax.random.randint(key_prefix, (size,), 0, len(static.prefixes))
     length = jnp.array(static.prefixes, jnp.int32)[choice]
     return Batch(
         x=data.x[index],
         y=data.y[index],
-        view_mask=data.mode_masks[mode],
+        view_mask=jnp.asarray(view_rows(static, size)[0]),
         prefix_mask=(jnp.arange(latent)[None] < length[:, None]).astype(jnp.float32),
         noise=jax.random.normal(key_noise, (size, latent), jnp.float32),
     )
+
+
+def without_nesting(key: jax.Array, prefix_mask: jax.Array, nesting: jax.Array) -> jax.Array:
+    """Give a share 1 - nesting of the examples all coordinates.
+
+    Args:
+        key: random key.
+        prefix_mask: [B, K] sampled masks.
+        nesting: share that keeps its mask.
+
+    Returns:
+        [B, K] masks.
+    """
+    whole = jax.random.uniform(key, (prefix_mask.shape[0], 1)) >= nesting
+    return jnp.maximum(prefix_mask, whole.astype(jnp.float32))
 
 
 def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) -> tuple[Params, dict[str, jax.Array]]:
@@ -111,13 +155,19 @@ def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) ->
     epochs = -(-static.steps // per_epoch)
     optimizer = make_optimizer(hypers, static, epochs * per_epoch)
     params = init(key_init, static.arch)
+    rows = view_rows(static, batch)[1]
 
     def step(state: Any, inputs: Any) -> Any:
         params, opt_state = state
         count, index = inputs
-        minibatch = sample_batch(jax.random.fold_in(key_steps, count), index, data, static)
+        key_batch, key_nesting = jax.random.split(jax.random.fold_in(key_steps, count))
+        minibatch = sample_batch(key_batch, index, data, static)
+        mask = without_nesting(key_nesting, minibatch.prefix_mask, hypers.nesting)
         grad_fn = jax.value_and_grad(composite_loss, has_aux=True)
-        (loss, terms), grads = grad_fn(params, minibatch, hypers, static.arch, static.prior)
+        (loss, terms), grads = grad_fn(
+            *(params, minibatch._replace(prefix_mask=mask), hypers),
+            *(static.arch, static.prior, rows, static.precision),
+        )
         # optax's bias correction raises a float to an integer power, which strict promotion (our tests') refuses.
         with jax.numpy_dtype_promotion("standard"):
             updates, opt_state = optimizer.update(grads, opt_state, params)

@@ -9,13 +9,21 @@ from hypothesis import strategies as st
 
 from ovibjax.encoder.loss import Batch, composite_loss, make_hypers, orthogonality_penalty, prefix_mask
 from ovibjax.encoder.model import decode, encode, locate
-from tests.encoder.test_model import UAV, UGV, make_params
+from ovibjax.encoder.train import TrainConfig, view_rows
+from tests.encoder.test_model import QUICK, UAV, UGV, make_params
 from tests.oracles import encoder as oracle
 
 TERMS = ["reconstruction", "localization", "rate", "orthogonality"]
-loss_of = jax.jit(composite_loss, static_argnums=(3, 4))
+loss_of = jax.jit(composite_loss, static_argnums=(3, 4, 5), compiler_options=QUICK)
 penalty = jax.jit(orthogonality_penalty)
 penalty_grad = jax.jit(jax.grad(orthogonality_penalty))
+
+
+def value_and_grad(params, batch, hypers, arch, prior, rows=None, precision="float32"):
+    return jax.value_and_grad(composite_loss, has_aux=True)(params, batch, hypers, arch, prior, rows, precision)
+
+
+differentiate = jax.jit(value_and_grad, static_argnums=(3, 4, 5, 6), compiler_options=QUICK)
 
 
 # ---- prefix mask ----
@@ -85,6 +93,43 @@ def test_the_gradient_of_the_penalty_is_its_closed_form():
     for w in (np.zeros((6, 9)), orthonormal_rows(6, 9)):
         grad = penalty_grad(jnp.array(w, jnp.float32))
         np.testing.assert_allclose(grad, 0.0, atol=1e-6)
+
+
+def plain_penalty(w):
+    """The formula, for automatic differentiation."""
+    return jnp.sum((w @ w.T - jnp.eye(w.shape[0], dtype=w.dtype)) ** 2) / w.shape[0] ** 2
+
+
+@pytest.mark.parametrize(("size", "width"), [(1, 5), (6, 4), (8, 12), (40, 64)])
+@pytest.mark.parametrize("scale", [1e-2, 1.0, 30.0])
+def test_the_gradient_of_the_penalty_equals_automatic_and_numerical_differentiation(size, width, scale):
+    rng = np.random.default_rng(size)
+    w = (rng.normal(size=(size, width)) * scale).astype(np.float32)
+    grad = np.asarray(penalty_grad(jnp.array(w)), np.float64)
+    automatic = jax.jit(jax.grad(plain_penalty))(jnp.array(w))
+    np.testing.assert_allclose(grad, automatic, rtol=1e-4, atol=1e-5 * np.abs(grad).max())
+    for _ in range(5):
+        direction = rng.normal(size=w.shape)
+        direction *= 1e-5 * scale / np.linalg.norm(direction)
+        rise = oracle.orthogonality(w + direction) - oracle.orthogonality(w - direction)
+        np.testing.assert_allclose((grad * 2 * direction).sum(), rise, rtol=1e-3, atol=1e-5 * abs(grad).max() * scale)
+
+
+def test_the_gradient_of_the_penalty_follows_vmap_transposes_and_scale():
+    kernels = jnp.array(np.random.default_rng(2).normal(size=(3, 12, 8)), jnp.float32)
+    weights = jnp.array([2.0, -0.5, 0.0])
+
+    def total(penalty):
+        # As in training: the matrix is a transposed kernel, the penalty has a weight, members are mapped.
+        members = jax.vmap(jax.value_and_grad(lambda kernel, weight: weight * penalty(kernel.T)))
+        return jax.jit(members)(kernels, weights)
+
+    ours, theirs = total(orthogonality_penalty), total(plain_penalty)
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
+    assert ours[1].shape == (3, 12, 8) and np.abs(ours[1][:2]).max() > 0.1 and np.all(ours[1][2] == 0.0)
+    for kernel, weight, grad in zip(kernels, weights, ours[1], strict=True):
+        np.testing.assert_allclose(grad, weight * penalty_grad(kernel.T).T, rtol=1e-4, atol=1e-5)
 
 
 @settings(deadline=None, max_examples=60)
@@ -217,12 +262,14 @@ def test_masked_views_of_the_decoded_descriptor_have_no_influence():
     before = loss_of(params, batch, make_hypers(), UAV, "gaussian")
 
     def with_descriptor_bias(views):
-        bias = params["params"]["descriptor"]["bias"].reshape(5, 6) + 1e3 * np.float32(views)[:, None]
-        layer = {**params["params"]["descriptor"], "bias": bias.reshape(-1)}
-        return loss_of({"params": {**params["params"], "descriptor": layer}}, batch, make_hypers(), UAV, "gaussian")
+        tree = dict(params["params"])
+        for view in views:
+            layer = tree[f"descriptor_{view}"]
+            tree[f"descriptor_{view}"] = {**layer, "bias": layer["bias"] + 1e3}
+        return loss_of({"params": tree}, batch, make_hypers(), UAV, "gaussian")
 
-    assert_same_to_the_bit(before, with_descriptor_bias([0, 1, 0, 0, 1]))
-    moved = with_descriptor_bias([0, 0, 1, 0, 0])
+    assert_same_to_the_bit(before, with_descriptor_bias([1, 4]))
+    moved = with_descriptor_bias([2])
     assert moved[1]["reconstruction"] > 1e3 and moved[1]["localization"] != before[1]["localization"]
 
 
@@ -252,10 +299,12 @@ def test_a_mean_beyond_the_prefix_moves_rate_and_orthogonality_only():
     assert after[1]["rate"] > before[1]["rate"] and after[1]["orthogonality"] != before[1]["orthogonality"]
 
     def task(kernel):
-        _, terms = terms_of(kernel)
+        layer = {**params["params"]["mean"], "kernel": kernel}
+        tree = {"params": {**params["params"], "mean": layer}}
+        _, terms = composite_loss(tree, batch, make_hypers(), UAV, "gaussian")
         return terms["reconstruction"] + terms["localization"]
 
-    grad = np.asarray(jax.grad(task)(kernel))
+    grad = np.asarray(jax.jit(jax.grad(task), compiler_options=QUICK)(kernel))
     assert np.all(grad[:, 3:] == 0.0) and np.all(np.abs(grad[:, :3]).max(axis=0) > 0.0)
 
 
@@ -279,5 +328,93 @@ def test_the_loss_is_a_mean_over_examples():
 def test_gradients_are_finite_where_a_mean_is_exactly_zero(prior):
     params, batch = make_params(UAV), random_batch(UAV)
     params["params"]["mean"] = jax.tree.map(jnp.zeros_like, params["params"]["mean"])
-    grads = jax.jit(jax.grad(lambda p: composite_loss(p, batch, make_hypers(), UAV, prior)[0]))(params)
+    _, grads = differentiate(params, batch, make_hypers(), UAV, prior)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(grads))
+
+
+# ---- rows ----
+
+
+def stratified_batch(static, size, seed=0):
+    """A batch whose view masks are those of training, with every prefix length."""
+    batch = random_batch(static.arch, size, seed)
+    return batch._replace(view_mask=view_rows(static, size)[0])
+
+
+def assert_same_loss_and_gradients(ours, theirs, rtol):
+    for a, b in zip(jax.tree.leaves(ours[0]), jax.tree.leaves(theirs[0]), strict=True):
+        np.testing.assert_allclose(a, b, rtol=rtol)
+    for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(ours[1]), jax.tree.leaves(theirs[1]), strict=True):
+        np.testing.assert_allclose(a, b, rtol=rtol, atol=rtol * np.abs(b).max(), err_msg=str(path))
+        assert np.all(np.isfinite(a)) and a.dtype == jnp.float32
+
+
+CUT = [
+    (UAV, None, 8),
+    (UAV, None, 11),
+    (UAV, None, 3),
+    (UAV, ("F", "FS"), 11),
+    (UAV, ("F",), 11),
+    (UGV, None, 9),
+    (UGV, None, 10),
+]
+
+
+@pytest.mark.parametrize(("arch", "modes", "size"), CUT)
+def test_leaving_out_the_rows_a_view_lacks_changes_nothing(arch, modes, size):
+    static = TrainConfig(arch=arch, modes=modes)
+    params, batch = make_params(arch), stratified_batch(static, size)
+    rows = view_rows(static, size)[1]
+    assert sum(rows) < size * arch.n_views
+    whole = differentiate(params, batch, make_hypers(), arch, "gaussian")
+    cut = differentiate(params, batch, make_hypers(), arch, "gaussian", rows)
+    assert_same_loss_and_gradients(cut, whole, rtol=1e-5)
+
+
+def test_more_rows_than_needed_change_nothing():
+    params, batch = make_params(UAV), stratified_batch(TrainConfig(arch=UAV), 11)
+    rows = view_rows(TrainConfig(arch=UAV), 11)[1]
+    more = tuple(min(11, count + 1 + view) for view, count in enumerate(rows))
+    assert sum(more) > sum(rows) + 4
+    whole, cut = (differentiate(params, batch, make_hypers(), UAV, "gaussian", counts) for counts in (None, more))
+    assert_same_loss_and_gradients(cut, whole, rtol=1e-5)
+
+
+def test_fewer_rows_than_needed_would_be_noticed():
+    static = TrainConfig(arch=UAV)
+    params, batch = make_params(UAV), stratified_batch(static, 8)
+    rows = view_rows(static, 8)[1]
+    whole = differentiate(params, batch, make_hypers(), UAV, "gaussian")
+    for view in range(1, 5):
+        fewer = tuple(count - (i == view) for i, count in enumerate(rows))
+        loss, _ = loss_of(params, batch, make_hypers(), UAV, "gaussian", fewer)
+        assert abs(float(loss) / float(whole[0][0]) - 1) > 1e-4, view
+
+
+# ---- precision ----
+
+
+@pytest.mark.parametrize("prior", ["gaussian", "ard"])
+def test_the_objective_in_bfloat16_is_close_to_the_one_in_float32(prior):
+    static = TrainConfig(arch=UAV)
+    params, batch, hypers = make_params(UAV), stratified_batch(static, 64), make_hypers()
+    # Noise of moderate size.
+    params["params"]["logvar"] = jax.tree.map(lambda leaf: 0.3 * leaf, params["params"]["logvar"])
+    rows = view_rows(static, 64)[1]
+    exact, rounded = (
+        differentiate(params, batch, hypers, UAV, prior, rows, precision) for precision in ("float32", "bfloat16")
+    )
+    for name in TERMS[:3]:
+        ratio = float(rounded[0][1][name] / exact[0][1][name])
+        assert abs(ratio - 1) < 0.02 and ratio != 1.0, name
+    # The penalty is no product of the network.
+    assert float(rounded[0][1]["orthogonality"]) == float(exact[0][1]["orthogonality"])
+    for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(rounded[1]), jax.tree.leaves(exact[1]), strict=True):
+        assert a.dtype == jnp.float32
+        assert np.linalg.norm(a - b) < 0.05 * np.linalg.norm(b), path
+
+
+@pytest.mark.parametrize("precision", ["", "float16", "bf16", None])
+def test_an_unknown_precision_is_an_error(precision):
+    with pytest.raises(ValueError, match=r"float32.*bfloat16"):
+        composite_loss(make_params(UAV), random_batch(UAV), make_hypers(), UAV, "gaussian", None, precision)

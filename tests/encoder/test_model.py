@@ -10,11 +10,42 @@ import numpy as np
 import pytest
 
 from ovibjax.encoder import model
-from ovibjax.encoder.model import OVIB, Architecture, init, mean_projection, parameter_bytes
+from ovibjax.encoder.model import (
+    OVIB,
+    Architecture,
+    dense_layers,
+    init,
+    mean_projection,
+    parameter_bytes,
+    split_views,
+)
 from tests.oracles import encoder as oracle
 
 UAV = Architecture(n_views=5, view_dim=6, latent=8, hidden=16, last_hidden=12, head=10)
 UGV = dataclasses.replace(UAV, n_views=4)
+
+
+def known_options(options):
+    """Those compiler options that this jax knows."""
+    known = {}
+    for name, value in options.items():
+        try:
+            jax.jit(lambda: 0, compiler_options={name: value})()
+        except jax.errors.JaxRuntimeError:
+            continue
+        known[name] = value
+    return known
+
+
+# The networks are tiny and the programs are not: most of the time would go to optimising machine code.
+QUICK = known_options(
+    {
+        "xla_backend_optimization_level": 0,
+        "xla_llvm_disable_expensive_passes": True,
+        "xla_cpu_use_fusion_emitters": False,
+        "xla_cpu_parallel_codegen_split_count": 1,
+    }
+)
 encode, decode, locate = (jax.jit(f, static_argnums=2) for f in (model.encode, model.decode, model.locate))
 
 
@@ -56,10 +87,64 @@ def test_every_part_equals_the_numpy_forward_pass(arch):
 
 def test_the_whole_chain_is_its_parts_without_noise():
     params, x = make_params(UAV), rows(4, 30)
-    descriptor, position = jax.jit(OVIB(UAV).apply)(params, x)
+    position = jax.jit(OVIB(UAV).apply)(params, split_views(x, UAV))
     theirs = oracle.decode(params, oracle.encode(params, x)[0])
-    np.testing.assert_allclose(descriptor, theirs, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(position, oracle.locate(params, theirs), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("arch", [UAV, UGV])
+def test_the_dense_layers_hold_the_kernels_of_the_views_in_feature_order(arch):
+    params, r = make_params(arch), arch.view_dim
+    tree, layers = params["params"], dense_layers(params)
+    # Every parameter, and nothing else, is in the dense layers.
+    values = [np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(t)]) for t in (tree, layers)]
+    np.testing.assert_array_equal(*map(np.sort, values))
+    for view in range(arch.n_views):
+        block = slice(view * r, (view + 1) * r)
+        for name in ("encoder_1", "head_1"):
+            np.testing.assert_array_equal(layers[name]["kernel"][block], tree[f"{name}_{view}"]["kernel"])
+        np.testing.assert_array_equal(layers["descriptor"]["kernel"][:, block], tree[f"descriptor_{view}"]["kernel"])
+        np.testing.assert_array_equal(layers["descriptor"]["bias"][block], tree[f"descriptor_{view}"]["bias"])
+    for name in ("encoder_1", "head_1"):
+        np.testing.assert_array_equal(layers[name]["bias"], tree[f"{name}_bias"])
+        width = arch.hidden if name == "encoder_1" else arch.head
+        assert layers[name]["kernel"].shape == (arch.n_views * r, width)
+
+
+def test_views_are_split_in_feature_order_and_cut_to_their_rows():
+    x = rows(6, 30)
+    whole, cut = split_views(x, UAV), split_views(x, UAV, (6, 2, 0, 5, 1))
+    assert [part.shape for part in cut] == [(6, 6), (2, 6), (0, 6), (5, 6), (1, 6)]
+    for view, (part, head) in enumerate(zip(whole, cut, strict=True)):
+        np.testing.assert_array_equal(part, x[:, 6 * view : 6 * view + 6])
+        np.testing.assert_array_equal(head, part[: len(head)])
+    joint = x.reshape(6, 5, 6)
+    for part, other in zip(split_views(joint, UAV), whole, strict=True):
+        np.testing.assert_array_equal(part, other)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_rows_a_view_lacks_count_as_zeros(precision):
+    counts, network = (6, 2, 0, 5, 1), OVIB(UAV, precision)
+    masks = [(np.arange(6)[:, None] < count).astype(np.float32) for count in counts]
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def parts(params, x, z):
+        cut, whole = split_views(x, UAV, counts), split_views(x, UAV)
+        zeroed = [part * mask for part, mask in zip(whole, masks, strict=True)]
+        joint = [
+            [network.apply(params, views, method=part) for part in ("encode", "locate")] for views in (cut, zeroed)
+        ]
+        return [jax.tree.leaves(parts) for parts in joint], [
+            network.apply(params, z, rows, method="decode") for rows in (counts, (6,) * 5)
+        ]
+
+    joint, (cut, whole) = parts(make_params(UAV), rows(6, 30), rows(6, UAV.latent))
+    for ours, theirs in zip(*joint, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-6)
+    for count, ours, theirs in zip(counts, cut, whole, strict=True):
+        assert ours.shape == (count, UAV.view_dim)
+        np.testing.assert_allclose(ours, theirs[:count], rtol=1e-5, atol=1e-6)
 
 
 def test_each_row_of_a_batch_is_treated_alone():
@@ -116,19 +201,29 @@ def test_an_architecture_is_a_static_argument_with_the_papers_widths():
 @functools.cache
 def initial(arch):
     """Parameters as the model initialises them."""
-    quick = {"xla_backend_optimization_level": 0}
-    return jax.jit(init, static_argnums=1, compiler_options=quick)(jax.random.key(1), arch)
+    return jax.jit(init, static_argnums=1, compiler_options=QUICK)(jax.random.key(1), arch)
 
 
 WIDE = Architecture(hidden=256, last_hidden=192, logvar_bias=-2.5)
 
 
 def test_initial_kernels_have_the_variance_that_keeps_a_signal():
-    params = initial(WIDE)["params"]
-    fans = {"encoder_1": 320, "encoder_2": 256, "decoder_1": 128, "decoder_2": 192, "head_1": 320}
-    for name, fan_in in fans.items():
-        np.testing.assert_allclose(np.std(params[name]["kernel"]), math.sqrt(2 / fan_in), rtol=0.03)
-        assert float(jnp.abs(params[name]["bias"]).max()) == 0.0
+    tree, layers = initial(WIDE)["params"], dense_layers(initial(WIDE))
+    fans = {"encoder_2": 256, "decoder_1": 128, "decoder_2": 192}
+    kernels = [(tree[name]["kernel"], 2 / fan_in) for name, fan_in in fans.items()]
+    # A kernel of one view is initialised for the inputs of all five, r = 64 each.
+    kernels += [(tree[f"{name}_{view}"]["kernel"], 2 / 320) for name in ("encoder_1", "head_1") for view in range(5)]
+    kernels += [(layers[name]["kernel"], 2 / 320) for name in ("encoder_1", "head_1")]
+    for kernel, variance in kernels:
+        np.testing.assert_allclose(np.std(kernel), math.sqrt(variance), rtol=0.03)
+        # He's normal distribution, cut at two deviations of the uncut one (0.8796 of them remain).
+        assert 2.1 < np.abs(kernel).max() / math.sqrt(variance) < 2 / 0.8796 + 1e-3
+    # Linear layers keep the variance; the views of a joint layer are drawn apart.
+    for name, fan_in in {"mean": 192, "descriptor": 256, "head_2": 192}.items():
+        np.testing.assert_allclose(np.std(layers[name]["kernel"]), math.sqrt(1 / fan_in), rtol=0.06)
+    for name in ("encoder_1", "head_1", "descriptor"):
+        assert len({float(tree[f"{name}_{view}"]["kernel"][0, 0]) for view in range(5)}) == 5
+    assert all(float(jnp.abs(layer["bias"]).max()) == 0.0 for name, layer in layers.items() if name != "logvar")
 
 
 def test_the_initial_posterior_variance_is_small_and_almost_constant():

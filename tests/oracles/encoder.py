@@ -6,6 +6,8 @@ import math
 import numpy as np
 from scipy import integrate, special
 
+from ovibjax.encoder.model import dense_layers
+
 MODES = {"F": [0], "FS": [0, 2, 3], "H4": [0, 1, 2, 3], "A5": [0, 1, 2, 3, 4]}
 
 
@@ -81,6 +83,12 @@ def view_mask(mode, n_views):
     return np.array([1.0 if view in MODES[mode] else 0.0 for view in range(n_views)])
 
 
+def equal_shares(size, modes, n_views):
+    """View masks [B, M] of a batch: example n of B takes mode floor(n Q / B) of Q, those with most views first."""
+    ordered = sorted(modes, key=lambda mode: len(MODES[mode]), reverse=True)
+    return np.array([view_mask(ordered[n * len(ordered) // size], n_views) for n in range(size)])
+
+
 def orthogonality(w):
     """Last term of eq. "composite_loss" without gamma."""
     w = np.asarray(w, np.float64)
@@ -125,7 +133,7 @@ def gelu(x):
 
 def encode(params, x, activation=gelu):
     """Mean and log-variance of the posterior."""
-    p = params["params"]
+    p = dense_layers(params)
     hidden = activation(_dense(p["encoder_1"], np.asarray(x, np.float64)))
     hidden = activation(_dense(p["encoder_2"], hidden))
     return _dense(p["mean"], hidden), np.clip(_dense(p["logvar"], hidden), -12.0, 6.0)
@@ -133,14 +141,14 @@ def encode(params, x, activation=gelu):
 
 def decode(params, z, activation=gelu):
     """Descriptor of a latent."""
-    p = params["params"]
+    p = dense_layers(params)
     hidden = activation(_dense(p["decoder_1"], np.asarray(z, np.float64)))
     return _dense(p["descriptor"], activation(_dense(p["decoder_2"], hidden)))
 
 
 def locate(params, descriptor, activation=gelu):
     """Position from a descriptor."""
-    p = params["params"]
+    p = dense_layers(params)
     return _dense(p["head_2"], activation(_dense(p["head_1"], np.asarray(descriptor, np.float64))))
 
 

@@ -1,0 +1,161 @@
+"""Member functions of encoder sweeps: train at a grid point and judge, or judge a trained encoder otherwise."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ovibjax.edge.evaluate import judge_prefixes
+from ovibjax.edge.localize import errors, summarize
+from ovibjax.encoder.attention import AttentionConfig, fit_attention, positions_m
+from ovibjax.encoder.loss import Hypers, make_hypers
+from ovibjax.encoder.model import Architecture, Params, encode
+from ovibjax.encoder.prepare import Member
+from ovibjax.encoder.rate import active_dims
+from ovibjax.encoder.train import TrainConfig, fit
+from ovibjax.views import full_mode, mode_mask
+
+UNITS = {"val_mean_m": "m", "test_mean_m": "m", "test_p90_m": "m", "rate": "nats"}
+"""Units of the outputs."""
+
+DIMS = dict.fromkeys(("val_mean_m", "test_mean_m", "test_p90_m", "eta"), ("mode", "prefix"))
+"""Trailing dimensions of the outputs."""
+
+
+@dataclass(frozen=True)
+class TrainAndJudge:
+    """A member function for `sweep.run`; hashable, and the same object for every grid point.
+
+    Attributes:
+        static: architecture, prior, steps.
+        prefixes: prefix lengths to judge at.
+        modes: view modes to judge in.
+        lr: peak learning rate where it is not an axis.
+        keep_params: also return the trained parameters.
+    """
+
+    static: TrainConfig
+    prefixes: tuple[int, ...]
+    modes: tuple[str, ...]
+    lr: float = 2e-3
+    keep_params: bool = False
+
+    def __call__(self, key: jax.Array, point: dict[str, jax.Array], member: Member) -> dict[str, Any]:
+        """Train and judge one member.
+
+        Args:
+            key: its seed's key.
+            point: values of any of `Hypers`' fields; other axes are ignored.
+            member: data of its seed.
+
+        Returns:
+            Mean validation and test errors, 90th percentile of the test errors and mixing weights
+            [modes, prefixes]; terms of the loss in the last epoch; coordinates not pruned.
+        """
+        arch = self.static.arch
+        given = {name: value for name, value in point.items() if name in Hypers._fields}
+        hypers = make_hypers(lr=self.lr)._replace(**given)
+        params, metrics = fit(key, hypers, member.train, self.static)
+        masks = jnp.stack([mode_mask(mode, arch.n_views) for mode in self.modes])
+        lengths = jnp.array(self.prefixes, jnp.int32)
+        judged = jax.lax.map(lambda mask: judge_prefixes(params, member, arch, mask, lengths), masks)
+        x = member.val_x.reshape(member.val_x.shape[0], -1)
+        outputs: dict[str, Any] = {
+            "val_mean_m": jnp.mean(judged.val_error_m, axis=-1),
+            "test_mean_m": jnp.mean(judged.test_error_m, axis=-1),
+            "test_p90_m": summarize(judged.test_error_m).p90_m,
+            "eta": judged.eta,
+            "active_dims": active_dims(*encode(params, x, arch)),
+            **{name: values[-1] for name, values in metrics.items()},
+        }
+        return outputs | ({"params": params["params"]} if self.keep_params else {})
+
+
+@dataclass(frozen=True)
+class FuseAndLocate:
+    """A member function: the conference version's attention fusion of views, trained on positions alone.
+
+    Attributes:
+        static: widths and steps.
+        lr: peak learning rate.
+        weight_decay: decoupled weight decay; without much of it the baseline overfits.
+    """
+
+    static: AttentionConfig
+    lr: float = 3e-3
+    weight_decay: float = 0.1
+
+    def __call__(self, key: jax.Array, point: dict[str, jax.Array], member: Member) -> dict[str, jax.Array]:
+        """Train and judge one member with every view.
+
+        Args:
+            key: its seed's key.
+            point: unused; the baseline has no hyperparameters that are swept.
+            member: data of its seed.
+
+        Returns:
+            Mean validation and test errors, the loss of the last epoch.
+        """
+        hypers = make_hypers(lr=self.lr, weight_decay=self.weight_decay)
+        params, metrics = fit_attention(key, hypers, member.train, self.static)
+        mask = jnp.ones(self.static.n_views, jnp.float32)
+
+        def error_m(x: jax.Array, truth_m: jax.Array) -> jax.Array:
+            return jnp.mean(errors(positions_m(params, x, member.standardizer, mask, self.static), truth_m))
+
+        return {
+            "val_mean_m": error_m(member.val_x, member.val_m),
+            "test_mean_m": error_m(member.test_x, member.test_m),
+            "loss": metrics["loss"][-1],
+        }
+
+
+ORDERINGS = ("learned", *(f"random_{i}" for i in range(1, 9)), "tail_first")
+"""Orders in which coordinates are kept: as trained, eight random permutations, last coordinate first."""
+
+
+class Trained(NamedTuple):
+    """A trained encoder with the data of its seed.
+
+    Attributes:
+        member: data.
+        params: parameters.
+    """
+
+    member: Member
+    params: Params
+
+
+@dataclass(frozen=True)
+class JudgeOrdering:
+    """A member function: keep k coordinates of a trained code in another order than the learned one.
+
+    Attributes:
+        arch: widths of the network.
+        prefixes: numbers of coordinates kept.
+    """
+
+    arch: Architecture
+    prefixes: tuple[int, ...]
+
+    def __call__(self, key: jax.Array, point: dict[str, jax.Array], trained: Trained) -> dict[str, jax.Array]:
+        """Judge one ordering with every view.
+
+        Args:
+            key: unused; permutations are the same for every seed.
+            point: `ordering`, an index into `ORDERINGS`.
+            trained: the encoder.
+
+        Returns:
+            Mean test errors [prefixes].
+        """
+        arch, ordering = self.arch, point["ordering"]
+        learned = jnp.arange(arch.latent)
+        shuffled = jax.random.permutation(jax.random.fold_in(jax.random.key(0), ordering), arch.latent)
+        order = jnp.where(ordering == 0, learned, shuffled)
+        order = jnp.where(ordering == len(ORDERINGS) - 1, learned[::-1], order)
+        mask = mode_mask(full_mode(arch.n_views), arch.n_views)
+        lengths = jnp.array(self.prefixes, jnp.int32)
+        judged = judge_prefixes(trained.params, trained.member, arch, mask, lengths, order=order)
+        return {"test_mean_m": jnp.mean(judged.test_error_m, axis=-1)}

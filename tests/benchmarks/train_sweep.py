@@ -1,0 +1,163 @@
+"""Training a grid of encoders: one `sweep.run` against a PyTorch loop over members, in the same run.
+
+    python -m tests.benchmarks.train_sweep            (extra [bench]; a quiet machine; about five minutes)
+
+Same model, objective, optimizer, batch, steps and sampling; both may use every core. The PyTorch loop multiplies
+masked views densely, as its users do, and is timed in float32 and under bfloat16 autocast.
+
+RESULTS
+"""
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import torch
+
+from ovibjax.encoder.loss import make_hypers
+from ovibjax.encoder.model import Architecture
+from ovibjax.encoder.train import TrainConfig, TrainData, fit, view_rows
+from ovibjax.sweep.run import run
+from ovibjax.sweep.work import Along
+from tests.benchmarks.torch_peer import train_member
+
+AXES = {"beta": [1e-4, 1e-3], "gamma": [0.0, 0.1], "seed": [0, 1]}
+FRAMES = 3495
+SIZES = {"large": (512, 512), "small": (64, 128)}
+"""Coordinates per view and batch: the full dimension, and the per-view basis."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Member function: train, return the losses of the last epoch."""
+
+    static: TrainConfig
+
+    def __call__(self, key: jax.Array, point: dict[str, jax.Array], data: TrainData) -> dict[str, jax.Array]:
+        hypers = make_hypers()._replace(beta=point["beta"], gamma=point["gamma"])
+        _, metrics = fit(key, hypers, data, self.static)
+        return {name: values[-1] for name, values in metrics.items()}
+
+
+def synthetic(view_dim: int, seed: int) -> TrainData:
+    """Features that are smooth functions of a position, as unit-variance coordinates."""
+    rng = np.random.default_rng(seed)
+    position = rng.normal(size=(FRAMES, 3))
+    waves = np.cos(position @ rng.normal(size=(3, 5 * view_dim)) + rng.uniform(0, 2 * np.pi, 5 * view_dim))
+    x = np.sqrt(2) * waves.reshape(FRAMES, 5, view_dim) + 0.1 * rng.normal(size=(FRAMES, 5, view_dim))
+    return TrainData(jnp.asarray(x, jnp.float32), jnp.asarray(position, jnp.float32))
+
+
+def matmul_peak() -> float:
+    """FLOP/s of one large float32 product on all cores, the best of several."""
+    a = jnp.ones((4096, 4096), jnp.float32)
+    product = jax.jit(lambda a: a @ a)
+    return 2 * 4096**3 / min(timed(lambda: jax.block_until_ready(product(a))) for _ in range(6))
+
+
+def timed(work: Callable[[], object]) -> float:
+    """Seconds."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def useful_flop(static: TrainConfig) -> float:
+    """Multiplications and additions of one step that the result needs: masked views and the input's gradient are not.
+
+    A layer costs two operations per weight and row forward, as many for each of its two gradients.
+    """
+    arch, size = static.arch, static.batch
+    shared = size * arch.view_dim * sum(view_rows(static, size)[1]) / size
+    first = 2 * 2 * shared * arch.hidden
+    views = 3 * 2 * shared * (arch.hidden + arch.head)
+    inner = arch.last_hidden * (2 * arch.hidden + 3 * arch.latent)
+    return first + views + 3 * 2 * size * (inner + 3 * arch.head)
+
+
+def members() -> list[tuple[float, float, int]]:
+    """Every (beta, gamma, seed)."""
+    return [(b, g, s) for s in AXES["seed"] for b in AXES["beta"] for g in AXES["gamma"]]
+
+
+def compare(name: str, epochs: int, repeats: int, peak: float) -> dict[str, float]:
+    """Time all contenders by turns; the best of the repeats counts.
+
+    Compile time is left out: each contender runs once before.
+    """
+    view_dim, batch = SIZES[name]
+    steps = FRAMES // batch * epochs
+    base = TrainConfig(arch=Architecture(view_dim=view_dim), steps=steps, batch=batch)
+    data = [synthetic(view_dim, seed) for seed in AXES["seed"]]
+    losses: dict[str, np.ndarray] = {}
+    compile_s: dict[str, float] = {}
+
+    def ours(precision: str) -> None:
+        dataset = run(Fit(replace(base, precision=precision)), AXES, Along("seed", data))
+        losses[f"ovibjax {precision}"] = dataset.loss.values.ravel()
+
+    def theirs(precision: str) -> None:
+        found = []
+        for beta, gamma, seed in members():
+            x, y = (np.asarray(array) for array in data[AXES["seed"].index(seed)])
+            hypers = {"alpha": 1.0, "beta": beta, "gamma": gamma, "lr": 2e-3, "weight_decay": 1e-4}
+            found.append(train_member(seed, hypers, x, y, base, bfloat16=precision == "bfloat16")["loss"])
+        losses[f"PyTorch {precision}"] = np.array(found)
+
+    contenders = {
+        f"{who} {precision}": (lambda work=work, precision=precision: work(precision))
+        for precision in ("float32", "bfloat16")
+        for who, work in (("ovibjax", ours), ("PyTorch", theirs))
+    }
+    for label, work in contenders.items():
+        compile_s[label] = timed(work)
+    best = dict.fromkeys(contenders, np.inf)
+    for _ in range(repeats):
+        for label, work in contenders.items():
+            best[label] = min(best[label], timed(work))
+    count = len(members()) * steps
+    print(f"\n{name}: {view_dim} coordinates per view, batch {batch}, {len(members())} members x {steps} steps")
+    for label, seconds in best.items():
+        share = count * useful_flop(base) / seconds / peak
+        loss = losses[label]
+        extra = f"first run {compile_s[label]:5.1f} s" if label.startswith("ovibjax") else ""
+        print(
+            f"  {label:18s} {count / seconds:7.1f} member-steps/s  {1e3 * seconds / count:6.2f} ms  "
+            f"{100 * share:3.0f} % of peak useful  loss {loss.mean():.4f} ± {loss.std(ddof=1):.4f}  {extra}"
+        )
+    return best
+
+
+def main() -> None:
+    """Run both sizes and print the ratios."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--epochs", type=int, default=4, help="epochs per member (default 4)")
+    parser.add_argument("--repeats", type=int, default=4, help="repetitions, the best counts (default 4)")
+    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="threads of PyTorch (default: cores)")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    peak = matmul_peak()
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+    print(f"{jax.devices()[0].device_kind}, {os.cpu_count()} cores, load {load:.1f}, jax {jax.__version__}, ", end="")
+    print(f"torch {torch.__version__}, float32 product peak {peak / 1e9:.0f} GFLOP/s")
+    found = {
+        "small": compare("small", options.epochs, options.repeats, peak),
+        "large": compare("large", max(1, options.epochs // 2), options.repeats, peak),
+    }
+    peak_after = matmul_peak()
+    print(f"\nfloat32 product peak afterwards {peak_after / 1e9:.0f} GFLOP/s")
+    for name, best in found.items():
+        for precision in ("float32", "bfloat16"):
+            against = best[f"PyTorch {precision}"] / best[f"ovibjax {precision}"]
+            loop = best["PyTorch float32"] / best[f"ovibjax {precision}"]
+            print(f"{name} {precision}: {against:.2f} against PyTorch {precision}, {loop:.2f} against PyTorch float32")
+    print(f"ratio: {found['large']['PyTorch float32'] / found['large']['ovibjax bfloat16']:.2f}")
+
+
+if __name__ == "__main__":
+    main()

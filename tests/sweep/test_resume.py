@@ -1,0 +1,348 @@
+"""A sweep that is killed, refused or out of room loses nothing that was finished."""
+
+import json
+import re
+import resource
+import subprocess
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from ovibjax.errors import InputError
+from ovibjax.sweep import program, work
+from ovibjax.sweep.grid import Axis
+from ovibjax.sweep.run import run
+from ovibjax.sweep.store import config_of, open_dataset
+from ovibjax.sweep.work import Along
+from tests.sweep.members import finish, same, small, start, sweep, train, tree_hash
+
+KILLS = """
+import json, os, random, signal, sys, time
+from tests.sweep.members import sweep  # imports only: jax starts in the children
+
+folder, kills, steps = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+pick = random.Random(int(sys.argv[4]))
+
+def begin(store):
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(read)
+        try:
+            sweep(store, steps, on_progress=lambda done, total: os.write(write, b"%d\\n" % done))
+        except BaseException:
+            import traceback
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+    os.close(write)
+    return child, os.fdopen(read)
+
+def wait(child, progress):
+    done = [int(line) for line in progress]
+    assert os.waitpid(child, 0)[1] == 0
+    assert done == sorted(done) and done[-1] == 64, done
+    return done[0]
+
+clock = time.perf_counter()
+wait(*begin(f"{folder}/whole.zarr"))
+whole = time.perf_counter() - clock
+resumed, interrupted = [], 0
+for i in range(kills):
+    child, progress = begin(f"{folder}/killed.zarr")
+    if i % 4 == 0:  # wherever it is, even before its store is there
+        time.sleep(pick.uniform(0, 1.2))
+        seen = []
+    else:  # soon after it has begun to compute; later ones have less to do
+        seen = [int(progress.readline())]
+        while pick.random() < 0.6:
+            seen.append(int(progress.readline()))
+        time.sleep(pick.uniform(0, 0.1))
+    os.kill(child, signal.SIGKILL)
+    seen += [int(line) for line in progress]
+    interrupted += os.waitpid(child, 0)[1] == signal.SIGKILL
+    resumed += seen[:1]
+    assert seen == sorted(seen), seen
+assert resumed == sorted(resumed), "what was finished stays finished"
+last = wait(*begin(f"{folder}/killed.zarr"))
+print(json.dumps({"killed": interrupted, "resumed": [*resumed, last], "whole": whole}))
+"""
+
+
+def killed_and_resumed(folder, kills, steps, seed):
+    out = json.loads(finish(start(KILLS, folder, kills, steps, seed)))
+    assert out["killed"] == kills, out
+    assert 0 < out["resumed"][-1] < 64, out  # there was something to keep, and something to do
+    whole, killed = open_dataset(folder / "whole.zarr"), open_dataset(folder / "killed.zarr")
+    assert whole.finished.all()
+    same(whole, killed)
+    assert whole.attrs == killed.attrs
+    assert sorted(p.name for p in folder.iterdir() if not p.name.startswith(".")) == ["killed.zarr", "whole.zarr"]
+    assert not list(folder.rglob("*.partial"))
+
+
+def test_killed_3_times_gives_the_same_bits(tmp_path):
+    killed_and_resumed(tmp_path, 3, 9000, 1)
+
+
+@pytest.mark.long
+def test_killed_20_times_gives_the_same_bits(tmp_path):
+    killed_and_resumed(tmp_path, 20, 30_000, 2)
+
+
+def test_another_process_resumes_what_this_one_has_begun(tmp_path):
+    """The text of the program, its hash and the data's hash are the same there."""
+
+    def stop(done, total):
+        if done == 10:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep(tmp_path / "a.zarr", 3, on_progress=stop)
+    code = "import sys\nfrom tests.sweep.members import sweep\nsweep(sys.argv[1], 3, on_progress=lambda *n: print(*n))"
+    lines = finish(start(code, tmp_path / "a.zarr", hash_seed="7")).split("\n")
+    assert lines[0] == "10 64" and lines[-2] == "64 64"
+    same(open_dataset(tmp_path / "a.zarr"), sweep(None, 3))
+
+
+AXES = {"rate": [0.1, 0.2, 0.3], "seed": range(2)}
+DATA = {"offset": np.float32(1)}
+
+
+def other_function(key, point, shared):
+    return small(key, point, shared)
+
+
+def in_order(work, pending, path):
+    return ((chunk, work.compute(chunk)) for chunk in pending)
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A store with the first two of four chunks, three of six members."""
+    path = tmp_path / "runs" / "a.zarr"
+
+    def stop(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    options = {"store": path, "settings": {"model": "wave"}, "chunk": 2, "lanes": 1, "executor": in_order}
+    with pytest.raises(KeyboardInterrupt):
+        run(small, AXES, DATA, on_progress=stop, **options)
+    assert int(open_dataset(path).finished.sum()) == 3
+    return path
+
+
+def refusal(path, **changes):
+    options = {"fn": small, "axes": AXES, "shared": DATA, "settings": {"model": "wave"}, **changes}
+    before = tree_hash(path.parent)
+    with pytest.raises(InputError) as caught:
+        run(store=path, **options)
+    assert tree_hash(path.parent) == before
+    message = str(caught.value)
+    assert "\n" not in message and str(path) in message and len(message) < 600, message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"axes": {**AXES, "rate": [0.1, 0.2, 0.4]}}, "axes.rate.values is [0.1, 0.2, 0.3] there and [0.1, 0.2, 0.4]"),
+        ({"axes": {**AXES, "rate": [0.1, 0.2]}}, "axes.rate"),
+        ({"axes": {**AXES, "seed": range(1, 3)}}, "axes.seed"),
+        ({"axes": {**AXES, "rate": Axis((0.1, 0.2, 0.3), "m")}}, "axes.rate.unit is absent there"),
+        ({"axes": {**AXES, "more": [1]}}, "axes.more is absent there"),
+        ({"axes": {"rate": AXES["rate"]}}, "axes.seed"),
+        ({"axes": {"seed": range(3), "rate": [0.1, 0.2, 0.3]}, "zipped": [("rate", "seed")]}, "axes.seed"),
+        ({"settings": {"model": "ripple"}}, 'settings.model is "wave" there and "ripple" here'),
+        ({"settings": {}}, "settings.model"),
+        ({"settings": {"model": "wave", "steps": 3}}, "settings.steps is absent there and 3 here"),
+        ({"shared": {"offset": np.float32(2)}}, "data is"),
+        ({"shared": Along("rate", [DATA] * 3)}, "another sweep"),
+        ({"fn": other_function}, "function is"),
+        ({"fn": lambda key, point, shared: small(key, point, shared)}, "function is"),
+        ({"fn": lambda key, point, shared: {"other": point["rate"]}}, "function is"),
+        ({"chunk": 3}, "execution."),
+        ({"chunk": 2, "lanes": 2}, "execution.lanes is 1 there and 2 here"),
+        ({"units": {"wave": "m"}}, "variables.wave.unit"),
+        ({"dims": {"wave": ["t"]}}, "variables.wave.dims"),
+        ({"dims": {"wave": ["t"]}, "coords": {"t": [1, 2, 3]}}, "wave"),
+    ],
+)
+def test_another_sweep_is_refused_and_nothing_changed(begun, changes, words):
+    assert words in refusal(begun, **changes)
+
+
+@pytest.mark.parametrize(
+    "axes", [{"rate": [0.1, 0.2, 0.3]}, {"seed": range(4)}], ids=["without the outer axis", "without an inner axis"]
+)
+def test_another_sweep_is_refused_whatever_shape_its_chunks_had(tmp_path, axes):
+    """The store's chunks, rows of several seeds, do not fit a grid that lacks an axis."""
+    path = tmp_path / "runs" / "a.zarr"
+    full = {"seed": range(4), "rate": [0.1, 0.2, 0.3]}
+
+    def fn(key, point, shared):
+        return {"y": jax.random.normal(key) + point.get("rate", 0.0)}
+
+    assert run(fn, full, store=path).attrs["config"]["execution"]["rows"] == 4
+    assert "axes." in refusal(path, fn=fn, axes=axes, shared=None)
+
+
+def test_another_static_setting_is_refused(tmp_path):
+    path = tmp_path / "runs" / "a.zarr"
+    data = {"gain": np.float32(0.1)}
+    fn = partial(train, steps=3)
+    run(fn, AXES, data, store=path)
+    assert "program is" in refusal(path, fn=partial(train, steps=4), shared=data, settings={})
+    run(fn, AXES, data, store=path)
+
+
+def test_another_version_of_jax_is_refused(begun, monkeypatch):
+    version = jax.__version__
+    monkeypatch.setattr(work.jax, "__version__", "0.99.1")
+    assert f'environment.jax is "{version}" there and "0.99.1" here' in refusal(begun)
+
+
+def test_more_devices_than_there_are_is_refused(begun, monkeypatch):
+    def held(path):
+        config = config_of(path)
+        config["execution"]["devices"] = 8
+        return config
+
+    monkeypatch.setattr("ovibjax.sweep.run.config_of", held)
+    assert "8 devices; here are 1" in refusal(begun)
+
+
+def test_what_is_no_store_is_refused(tmp_path):
+    path = tmp_path / "thesis"
+    path.mkdir()
+    (path / "thesis.tex").write_text("text")
+    assert "no store of a sweep" in refusal(path)
+
+
+def test_chunks_of_the_store_are_kept_when_memory_differs(tmp_path, monkeypatch):
+    path = tmp_path / "a.zarr"
+
+    def stop(done, total):
+        if done:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(program, "available_bytes", lambda _: 100)
+    with pytest.raises(KeyboardInterrupt):
+        run(small, AXES, DATA, store=path, on_progress=stop)
+    first = config_of(path)["execution"]
+    assert first["columns"] == first["lanes"] == 1
+    monkeypatch.setattr(program, "available_bytes", lambda _: 2**33)
+    assert run(small, AXES, DATA).attrs["config"]["execution"]["columns"] > 1
+    seen = []
+    dataset = run(small, AXES, DATA, store=path, on_progress=lambda *n: seen.append(n))
+    assert dataset.finished.all() and seen[0] == (1, 6)
+    assert dataset.attrs["config"]["execution"] == first
+    same(dataset, run(small, AXES, DATA, chunk=1, lanes=1))
+
+
+def test_finished_sweep_computes_nothing(tmp_path):
+    options = {"store": tmp_path / "a.zarr", "chunk": 2}
+    one = run(small, AXES, DATA, **options)
+    before, count, seen = tree_hash(tmp_path / "a.zarr"), program.compilations, []
+    same(one, run(small, AXES, DATA, **options, on_progress=lambda *n: seen.append(n)))
+    assert seen == [(6, 6)] and program.compilations == count and tree_hash(tmp_path / "a.zarr") == before
+
+
+def test_two_processes_on_one_store(tmp_path):
+    path = tmp_path / "a.zarr"
+    code = "import sys\nfrom tests.sweep.members import sweep\n"
+    code += "sweep(sys.argv[1], 5000, on_progress=lambda *n: print(*n, flush=True))"
+    process = start(code, path)
+    for line in process.stdout:
+        if int(line.split()[0]) >= 3:
+            break
+    with pytest.raises(InputError) as caught:
+        sweep(path, 5000)
+    assert f"process {process.pid} on host " in str(caught.value)
+    assert "already working on this sweep" in str(caught.value)
+    assert process.poll() is None, "the first was still at it"
+    assert finish(process).split("\n")[-2] == "64 64"
+    same(sweep(path, 5000), sweep(None, 5000))  # the lock is free again
+
+
+def noisy(key, point, shared):
+    """Does not compress."""
+    return {"noise": jax.random.normal(jax.random.fold_in(key, point["i"]), (20_000,))}
+
+
+def test_full_disk(tmp_path):
+    """The system refuses a file that is too large: one line, what is finished stays, and it goes on with room."""
+    path, limits = tmp_path / "a.zarr", resource.getrlimit(resource.RLIMIT_FSIZE)
+    options = {"axes": {"i": range(6)}, "chunk": 1, "lanes": 1}
+
+    def tight(done, total):
+        if done == 2:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+
+    try:
+        with pytest.raises(InputError) as caught:
+            run(noisy, store=path, on_progress=tight, **options)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    message = str(caught.value)
+    assert "cannot write (File too large); 2 of 6 chunks are kept; make room and repeat the command" in message
+    assert str(path) in message and "\n" not in message
+    kept = open_dataset(path)
+    assert kept.finished.sum() == 2
+    seen = []
+    dataset = run(noisy, store=path, on_progress=lambda *n: seen.append(n[0]), **options)
+    assert seen[0] == 2
+    same(dataset, run(noisy, **options))
+    done = kept.finished.values
+    assert kept.noise.values[done].tobytes() == dataset.noise.values[done].tobytes()
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1200k", "tmpfs", folder], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("needs the right to mount")
+    yield folder
+    subprocess.run(["umount", "-l", folder], check=True)
+
+
+def test_full_disk_of_its_own(small_disk):
+    with pytest.raises(InputError, match=r"No space left on device.*make room") as caught:
+        run(noisy, {"i": range(24)}, store=small_disk / "a.zarr", chunk=1, lanes=1)
+    kept = int(re.search(r"(\d+) of 24 chunks are kept", str(caught.value)).group(1))
+    dataset = open_dataset(small_disk / "a.zarr")
+    assert 3 <= kept < 24 and kept == dataset.finished.sum()
+    subprocess.run(["mount", "-o", "remount,size=8m", small_disk], check=True)
+    seen = []
+    whole = run(noisy, {"i": range(24)}, store=small_disk / "a.zarr", on_progress=lambda *n: seen.append(n[0]))
+    assert seen[0] == kept
+    same(whole, run(noisy, {"i": range(24)}, chunk=1, lanes=1))
+
+
+def test_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("text")
+    for path in (tmp_path / "file" / "a.zarr", Path("/proc/a.zarr")):
+        with pytest.raises(InputError) as caught:
+            run(small, AXES, DATA, store=path)
+        assert f"{path}: cannot write (" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_damaged_chunk_is_named_and_computed_again(begun):
+    (file,) = (begun / "wave").glob("c.1.*")
+    data = file.read_bytes()
+    file.write_bytes(data[:-6] + bytes([data[-6] ^ 1]) + data[-5:])
+    with pytest.raises(InputError) as caught:
+        run(small, AXES, DATA, store=begun, settings={"model": "wave"})
+    message = str(caught.value)
+    assert "chunk 1 of wave is damaged" in message and "\n" not in message
+    Path(re.search(r"remove (\S+) and repeat", message).group(1)).unlink()
+    seen = []
+    dataset = run(small, AXES, DATA, store=begun, settings={"model": "wave"}, on_progress=lambda *n: seen.append(n[0]))
+    assert dataset.finished.all() and seen[0] == 5
+    same(dataset, run(small, AXES, DATA, chunk=2, lanes=1))
