@@ -21,7 +21,7 @@ from ovibjax.encoder.prepare import Member, prepare
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.link.latency import JETSON, compute_ms_at, measure_host
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, below, interval, write_claims
+from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, interval, write_claims
 from ovibjax.report.provenance import provenance
 from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Job
@@ -236,8 +236,8 @@ def judge_claims(preset: Preset, found: Found) -> list[Claim]:
             "9.06 against 10.92 m",
             f"{interval(ours).text('m')} (β = {beta:g}, γ = {gamma:g}) against {interval(fusion).text('m')}, "
             f"paired difference {margin.text('m')}",
-            below(margin, 0.0),
-            f"interval of the paired difference over {len(fusion)} common trials below zero",
+            HELD if margin.high < 0 else NOT_HELD,
+            f"the whole interval of the paired difference over {len(fusion)} common trials below zero",
         ),
         Claim(
             "Orthogonality helps at fixed rate: γ = 0.1 is the best weight",

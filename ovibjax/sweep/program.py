@@ -120,11 +120,21 @@ def _map(function: Callable[[Any], Any], xs: Any, size: int, lanes: int) -> Any:
     return jax.lax.map(function, xs, batch_size=lanes if lanes > 1 else None)
 
 
-def member_bytes(fn: MemberFn, point: dict[str, Any], shared: Any) -> tuple[int, int]:
-    """Bytes one member keeps alive while it runs, and bytes of its outputs."""
-    jaxpr = jax.make_jaxpr(lambda p, s: member(fn, p, s))(point, shared)
-    outputs = sum(int(np.prod(aval.shape)) * aval.dtype.itemsize for aval in jaxpr.out_avals)
-    return live_bytes(jaxpr), outputs
+def trace_member(fn: MemberFn, point: dict[str, Any], shared: Any) -> tuple[dict[str, Any], tuple[int, int]]:
+    """Look at one member without running it.
+
+    Args:
+        fn: the member function.
+        point: a value per axis.
+        shared: data.
+
+    Returns:
+        Shape and type of each output; bytes it keeps alive while it runs, and bytes of its outputs.
+    """
+    traced = jax.make_jaxpr(lambda p, s: member(fn, p, s), return_shape=True)
+    jaxpr, outputs = traced(point, shared)
+    size = sum(int(np.prod(aval.shape)) * aval.dtype.itemsize for aval in jaxpr.out_avals)
+    return outputs, (live_bytes(jaxpr), size)
 
 
 def choose_shape(grid: Grid, outer: int | None, cost: tuple[int, int], chunk: int | None, lanes: int | None) -> Shape:

@@ -18,7 +18,7 @@ import xarray
 from ovibjax.errors import InputError
 from ovibjax.sweep.grid import PADDING, Axis, make_chunks, make_grid
 from ovibjax.sweep.layout import Layout, Variable, assemble, check
-from ovibjax.sweep.program import SEED, MemberFn, Shape, choose_shape, member, member_bytes
+from ovibjax.sweep.program import SEED, MemberFn, Shape, choose_shape, trace_member
 from ovibjax.sweep.store import Store, config_of
 from ovibjax.sweep.work import Along, Block, Work, describe
 from ovibjax.threads import in_threads
@@ -91,7 +91,7 @@ def run(
     outer = grid.group_of(named) if named in grid.axes else None
     example = {name: grid.codes(name)[0] for name in grid.axes}
     one = shared.values[0] if isinstance(shared, Along) else shared
-    outputs = jax.eval_shape(lambda p, s: member(fn, p, s), example, one)
+    outputs, cost = trace_member(fn, example, one)
     held = config_of(store) if isinstance(store, str | Path) else None
     for name in {**(dims or {}), **(units or {})}:
         if name not in outputs:
@@ -102,7 +102,7 @@ def run(
         # Chunks as the store has them: memory may have chosen otherwise today, and bits depend on it.
         shape = Shape(**held["execution"])
     else:
-        shape = choose_shape(grid, outer, member_bytes(fn, example, one), chunk, lanes)
+        shape = choose_shape(grid, outer, cost, chunk, lanes)
     if shape.devices > jax.local_device_count():
         raise InputError(f"{store} was begun on {shape.devices} devices; here are {jax.local_device_count()}")
     layout = Layout(

@@ -1,0 +1,26 @@
+"""The report's check of the lemmas and the theorem."""
+
+import numpy as np
+import pytest
+
+from ovibjax.encoder import theory
+
+
+def test_the_paper_holds_on_random_models():
+    checks = theory.check_bounds(models=60)
+    assert [check.statement.split(":")[0] for check in checks] == ["Lemma 1", "Lemma 2", "Theorem 1"]
+    for check in checks:
+        assert check.deviation < 1e-4 and check.gap_nats >= 0
+
+
+@pytest.mark.parametrize("field", ["rate", "log_likelihood", "bound"])
+def test_a_wrong_term_is_seen(monkeypatch, field):
+    right = theory.bounds
+
+    def wrong(model, decoder, beta):
+        found = right(model, decoder, beta)
+        return found._replace(**{field: getattr(found, field) * 1.01})
+
+    monkeypatch.setattr(theory, "bounds", wrong)
+    assert max(check.deviation for check in theory.check_bounds(models=20)) > 1e-4
+    assert np.isfinite([check.deviation for check in theory.check_bounds(models=5)]).all()
