@@ -63,7 +63,7 @@ class Job:
             options: further options of `sweep.run`.
 
         Returns:
-            The dataset, complete.
+            The dataset, complete; attribute `resumed` says how many members an earlier, interrupted run had finished.
 
         Raises:
             Interrupted: Ctrl-C; finished members are kept.
@@ -75,9 +75,15 @@ class Job:
             used.append(folder / f"{self.name}-{description.split()[0]}-{digest(config)[:16]}.zarr")
             return used[0]
 
+        found: list[int] = []
         with progress_bar(description, 1) as update:
+
+            def on_progress(done: int, total: int) -> None:
+                found.append(done)
+                update(done, total)
+
             try:
-                dataset = run(fn, axes, shared, store=store, on_progress=update, **options)
+                dataset = run(fn, axes, shared, store=store, on_progress=on_progress, **options)
             except SweepInterrupted as error:
                 finished = error.dataset.finished
                 kept = f"{int(finished.sum())} of {finished.size} members are kept"
@@ -86,7 +92,7 @@ class Job:
         for other in folder.glob(f"{self.name}-{description.split()[0]}-*.zarr"):
             if other not in used:
                 shutil.rmtree(other, ignore_errors=True)
-        return dataset
+        return dataset.assign_attrs(resumed=found[0])
 
     @property
     def embedded(self) -> bool:

@@ -95,6 +95,7 @@ def run(job: Job) -> None:
         precision=static.precision,
         selected_gamma=found.selected_gamma(K),
         diverged=int(found.trained.diverged.sum()),
+        members_of_an_earlier_run=int(found.trained.attrs["resumed"]),
         seconds=round(time.perf_counter() - started),
     )
     (job.out / "provenance.json").write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")

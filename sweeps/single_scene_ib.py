@@ -116,6 +116,7 @@ def run(job: Job) -> None:
         selected={"beta": beta, "gamma": gamma},
         host_ms={name: round(ms, 3) for name, ms in found.host_ms.items()},
         diverged=int(found.trained.diverged.sum()),
+        members_of_an_earlier_run=int(found.trained.attrs["resumed"]),
         seconds=round(time.perf_counter() - started),
     )
     (job.out / "provenance.json").write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ovibjax.sweep import program
 from ovibjax.sweep.grid import make_chunks, make_grid
-from ovibjax.sweep.program import choose_shape, flatten, member_bytes
+from ovibjax.sweep.program import choose_shape, flatten, trace_member
 from ovibjax.sweep.run import run
 from ovibjax.sweep.work import Along
 from tests.sweep.members import cases, finish, small, start, sweep
@@ -144,7 +144,7 @@ def test_a_long_grid_has_a_bounded_number_of_chunks():
 
 
 def test_cost_of_a_member():
-    alive, outputs = member_bytes(small, {"rate": np.float32(1)}, OFFSET)
+    _, (alive, outputs) = trace_member(small, {"rate": np.float32(1)}, OFFSET)
     assert outputs == 3 * 4 + 2 * 4 + 4 and 12 <= alive < 10_000
 
 
