@@ -111,6 +111,7 @@ def test_show_of_nothing_is_one_line(tmp_path, refused):
     assert "no store" in refused("show", tmp_path / "none.zarr")
 
 
+@pytest.mark.long
 def test_ctrl_c_keeps_finished_members_and_the_same_command_goes_on(features, tmp_path):
     out = tmp_path / "long.zarr"
     arguments = ("sweep", "train", *AXES, "--seed", "0:8", "--steps", "1500", "--batch", "32")
@@ -129,6 +130,7 @@ def test_ctrl_c_keeps_finished_members_and_the_same_command_goes_on(features, tm
     assert done.returncode == 0 and bool(open_dataset(out).finished.all())
 
 
+@pytest.mark.long
 def test_devices_split_the_processor(features, tmp_path):
     out = tmp_path / "two.zarr"
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}

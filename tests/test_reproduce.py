@@ -24,7 +24,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-def ovibjax(*arguments: str, cache: Path, cwd: Path, timeout: float = 240) -> subprocess.CompletedProcess[str]:
+def ovibjax(*arguments: str, cache: Path, cwd: Path, timeout: float = 900) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "OVIBJAX_CACHE": str(cache), "COLUMNS": "200"}
     command = [sys.executable, "-m", "ovibjax", *arguments]
     return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=timeout)

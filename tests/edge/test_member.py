@@ -33,14 +33,14 @@ def members():
 
 
 def test_train_and_judge_is_fit_then_judge(members):
-    fn = TrainAndJudge(STATIC, KS, ("F", "A5"), lr=3e-3, keep_params=True)
+    fn = TrainAndJudge(STATIC, KS, ("F",), lr=3e-3, keep_params=True)
     found = jax.jit(fn)(jax.random.key(4), {"gamma": jnp.float32(0.3), "seed": jnp.int32(4)}, members[0])
     train = jax.jit(fit, static_argnames="static")
     params, metrics = train(jax.random.key(4), make_hypers(gamma=0.3, lr=3e-3), members[0].train, STATIC)
     for name, values in metrics.items():
         np.testing.assert_allclose(found[name], values[-1], rtol=1e-4)
     judge = jax.jit(judge_prefixes, static_argnames="arch")
-    for i, mode in enumerate(("F", "A5")):
+    for i, mode in enumerate(("F",)):
         judged = judge(params, members[0], arch=ARCH, view_mask=mode_mask(mode), prefixes=jnp.array(KS))
         np.testing.assert_allclose(found["test_mean_m"][i], judged.test_error_m.mean(1), rtol=1e-3)
         np.testing.assert_allclose(found["val_mean_m"][i], judged.val_error_m.mean(1), rtol=1e-3)
@@ -78,10 +78,12 @@ def test_orderings_keep_the_coordinates_they_say(members):
 def test_fusion_baseline_is_judged_in_metres(members):
     static = AttentionConfig(view_dim=6, width=16, heads=2, blocks=1, mlp=16, steps=60, batch=32, warmup=5)
     found = jax.jit(FuseAndLocate(static))(jax.random.key(0), {"seed": jnp.int32(0)}, members[0])
-    guess = np.linalg.norm(members[0].test_m - members[0].train_m.mean(0), axis=1).mean()
+    truth, train = np.asarray(members[0].test_m), np.asarray(members[0].train_m)
+    guess = np.linalg.norm(truth - train.mean(0), axis=1).mean()
     assert 0.5 < float(found["test_mean_m"]) < guess
 
 
+@pytest.mark.long
 def test_ablation_trains_what_it_names(members):
     def run(description, fn, axes, shared, **options):
         return sweep.run(fn, axes, shared, **options)

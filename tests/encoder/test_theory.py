@@ -1,6 +1,5 @@
 """The report's check of the lemmas and the theorem."""
 
-import numpy as np
 import pytest
 
 from ovibjax.encoder import theory
@@ -13,7 +12,9 @@ def test_the_paper_holds_on_random_models():
         assert check.deviation < 1e-4 and check.gap_nats >= 0
 
 
-@pytest.mark.parametrize("field", ["rate", "log_likelihood", "bound"])
+@pytest.mark.parametrize(
+    "field", ["bound", *(pytest.param(name, marks=pytest.mark.long) for name in ("rate", "log_likelihood"))]
+)
 def test_a_wrong_term_is_seen(monkeypatch, field):
     right = theory.bounds
 
@@ -23,4 +24,3 @@ def test_a_wrong_term_is_seen(monkeypatch, field):
 
     monkeypatch.setattr(theory, "bounds", wrong)
     assert max(check.deviation for check in theory.check_bounds(models=20)) > 1e-4
-    assert np.isfinite([check.deviation for check in theory.check_bounds(models=5)]).all()

@@ -445,7 +445,7 @@ def test_without_nesting_a_member_equals_one_of_full_length():
         np.testing.assert_allclose(ours[name][:6], theirs[name][:6], rtol=1e-4, err_msg=name)
 
 
-@pytest.mark.parametrize("n_views", [5, 4])
+@pytest.mark.parametrize("n_views", [pytest.param(5, marks=pytest.mark.long), 4])
 def test_a_grid_in_bfloat16_learns_as_one_in_float32(n_views):
     static = TrainConfig(arch=UAV if n_views == 5 else UGV, prefixes=(2, 5, 8), steps=150, batch=32, warmup=10)
     hypers, series = stack(make_hypers(lr=1e-2), make_hypers(lr=1e-2, alpha=2.0)), {}

@@ -218,6 +218,7 @@ assert dataset.attrs["config"]["execution"]["devices"] == 2
 """
 
 
+@pytest.mark.long
 def test_killed_and_interrupted_driver(tmp_path):
     """A function of `__main__`, workers with two devices, a cluster of its own; the third command finishes."""
     (tmp_path / "script.py").write_text(SCRIPT)

@@ -4,6 +4,7 @@ import json
 import re
 import resource
 import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -212,7 +213,7 @@ def test_more_devices_than_there_are_is_refused(begun, monkeypatch):
         config["execution"]["devices"] = 8
         return config
 
-    monkeypatch.setattr("ovibjax.sweep.run.config_of", held)
+    monkeypatch.setattr(sys.modules["ovibjax.sweep.run"], "config_of", held)
     assert "8 devices; here are 1" in refusal(begun)
 
 
