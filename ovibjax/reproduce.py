@@ -1,9 +1,11 @@
 """Find the cards (one file per figure of the paper) and run them with their data, presets and output folders."""
 
 import importlib.util
+import json
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -18,12 +20,15 @@ from ovibjax.features.frames import FeatureSet, load, require_frames
 from ovibjax.features.town import TownConfig
 from ovibjax.progress import console, progress_bar
 from ovibjax.report.page import write_page
+from ovibjax.report.provenance import provenance
 from ovibjax.sweep.layout import digest
 from ovibjax.sweep.run import Interrupted as SweepInterrupted
 from ovibjax.sweep.run import run
+from ovibjax.sweep.store import attach
 
 PRESETS = ("smoke", "quick", "full")
 _SMOKE_FRAMES = 400
+_KEPT_S = 7 * 24 * 3600.0
 
 
 class Interrupted(KeyboardInterrupt):
@@ -68,12 +73,10 @@ class Job:
         Raises:
             Interrupted: Ctrl-C; finished members are kept.
         """
-        used: list[Path] = []
         folder = cache_folder() / "sweeps"
 
         def store(config: dict[str, Any]) -> Path:
-            used.append(folder / f"{self.name}-{description.split()[0]}-{digest(config)[:16]}.zarr")
-            return used[0]
+            return folder / f"{self.name}-{digest(config)[:16]}.zarr"
 
         found: list[int] = []
         with progress_bar(description, 1) as update:
@@ -88,11 +91,25 @@ class Job:
                 finished = error.dataset.finished
                 kept = f"{int(finished.sum())} of {finished.size} members are kept"
                 raise Interrupted(f"interrupted; {kept}: repeat the command to go on") from None
-        # Earlier versions of this figure's sweep are of no more use.
-        for other in folder.glob(f"{self.name}-{description.split()[0]}-*.zarr"):
-            if other not in used:
-                shutil.rmtree(other, ignore_errors=True)
+        _remove_old(folder)
         return dataset.assign_attrs(resumed=found[0])
+
+    def record(self, title: str, caption: str, seeds: Iterable[int], started: float, **facts: Any) -> None:
+        """Write `provenance.json`: what every card says of itself, and its own facts.
+
+        Args:
+            title: heading on the results page.
+            caption: what the reader of the figure needs to know.
+            seeds: seeds that finished.
+            started: `time.perf_counter()` at the start.
+            facts: what the card adds, of JSON's types.
+        """
+        common: dict[str, Any] = {"title": title, "caption": caption, "preset": self.preset}
+        common |= {"seeds": " ".join(map(str, seeds)), "frames": len(self.features.features)}
+        common |= {"data": "embedded town" if self.embedded else Path(self.source).name}
+        everything = provenance(**common | facts, seconds=round(time.perf_counter() - started))
+        text = json.dumps(everything, indent=1, ensure_ascii=False)
+        (self.out / "provenance.json").write_text(text + "\n")
 
     @property
     def embedded(self) -> bool:
@@ -230,6 +247,16 @@ def reproduce(
         console.print(f"{path.stem}: {time.perf_counter() - started:.0f} s")
         write_page(out)
     return out / "README.md"
+
+
+def _remove_old(folder: Path) -> None:
+    """Remove finished sweeps of which nothing was used for a week; unfinished ones are somebody's work."""
+    for path in folder.glob("*.zarr"):
+        if time.time() - path.stat().st_mtime < _KEPT_S:
+            continue
+        with suppress(InputError, OSError):
+            if attach(path).finished().all():
+                shutil.rmtree(path)
 
 
 def _check_writable(out: Path) -> None:

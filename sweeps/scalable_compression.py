@@ -1,6 +1,5 @@
 """Fig. "Scalable O-VIB compression" and Table "Deployment overhead": one nested encoder against its rivals."""
 
-import json
 import time
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from ovibjax.link.payload import representation_bytes
 from ovibjax.progress import progress_bar
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, above, below, interval, write_claims
-from ovibjax.report.provenance import provenance
 from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Interrupted, Job
 from ovibjax.threads import in_threads
@@ -79,13 +77,9 @@ def run(job: Job) -> None:
     write_claims(job.out / "claims.json", judge_claims(results, job))
     draw(job.out / "figure.png", results, host)
     kept = float(np.mean([basis.energy_kept.mean() for _, basis in prepared.values()]))
-    facts = provenance(
-        title=TITLE,
-        caption=caption(results, kept, member.train.x.shape[2]),
+    job.record(
+        *(TITLE, caption(results, kept, member.train.x.shape[2]), finished, started),
         preset=job.preset + (" (interrupted)" if interrupted else ""),
-        seeds=" ".join(map(str, finished)),
-        data="embedded town" if job.embedded else Path(job.source).name,
-        frames=len(job.features.features),
         selected_k=results.chosen,
         view_coordinates=member.train.x.shape[2],
         energy_kept=round(kept, 4),
@@ -94,11 +88,11 @@ def run(job: Job) -> None:
         final_losses={
             m: {k: float(v[-1]) for k, v in o.losses.items()} for m, o in next(iter(finished.values())).items()
         },
-        seconds=round(time.perf_counter() - started),
     )
-    (job.out / "provenance.json").write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
     if interrupted:
-        raise Interrupted(f"interrupted; {job.out} holds the figure of the finished seeds {facts['seeds']}")
+        raise Interrupted(
+            f"interrupted; {job.out} holds the figure of the finished seeds {' '.join(map(str, finished))}"
+        )
 
 
 def judge_claims(results: Results, job: Job) -> list[Claim]:

@@ -24,7 +24,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-def ovibjax(*arguments: str, cache: Path, cwd: Path, timeout: float = 900) -> subprocess.CompletedProcess[str]:
+def ovibjax(*arguments: str, cache: Path, cwd: Path, timeout: float = 240) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "OVIBJAX_CACHE": str(cache), "COLUMNS": "200"}
     command = [sys.executable, "-m", "ovibjax", *arguments]
     return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=timeout)
@@ -58,7 +58,7 @@ def check_outputs(folder: Path) -> list[dict[str, str]]:
 
 
 def test_smoke_preset_makes_every_figure(tmp_path: Path, cache: Path) -> None:
-    done = ovibjax("reproduce", "--preset", "smoke", cache=cache, cwd=tmp_path)
+    done = ovibjax("reproduce", "--preset", "smoke", cache=cache, cwd=tmp_path, timeout=600)
     assert done.returncode == 0, done.stderr
     for name in card_names():
         assert (tmp_path / "results" / name / "figure.png").exists()

@@ -11,12 +11,11 @@ from typing import Any, cast
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-import optax
 
 from ovibjax.encoder.loss import Hypers
 from ovibjax.encoder.model import Params
 from ovibjax.encoder.prepare import Standardizer
-from ovibjax.encoder.train import TrainConfig, TrainData, make_optimizer
+from ovibjax.encoder.train import TrainConfig, TrainData, make_optimizer, schedule_of, train_epochs
 from ovibjax.views import mask_table
 
 
@@ -138,36 +137,21 @@ def fit_attention(
     """
     key_init, key_order, key_steps = jax.random.split(key, 3)
     n = data.x.shape[0]
-    batch = min(static.batch, n)
-    per_epoch = n // batch
-    epochs = -(-static.steps // per_epoch)
+    batch, per_epoch, epochs = schedule_of(static.steps, static.batch, n)
     schedule = TrainConfig(steps=static.steps, batch=batch, warmup=static.warmup)
     optimizer = make_optimizer(hypers, schedule, epochs * per_epoch)
+
+    def sample(count: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        view_mask = jnp.ones((batch, static.n_views), jnp.float32)
+        if not static.all_views:
+            masks = mask_table(static.n_views)
+            mode = jax.random.randint(jax.random.fold_in(key_steps, count), (batch,), 0, masks.shape[0])
+            view_mask = masks[mode]
+        return data.x[index], data.y[index], view_mask
+
+    def loss_of(params: Params, minibatch: Any) -> tuple[jax.Array, dict[str, jax.Array]]:
+        x, y, view_mask = minibatch
+        return jnp.mean(jnp.sum((predict(params, x, view_mask, static) - y) ** 2, axis=-1)), {}
+
     params = init_attention(key_init, static)
-
-    def view_masks(count: jax.Array) -> jax.Array:
-        if static.all_views:
-            return jnp.ones((batch, static.n_views), jnp.float32)
-        masks = mask_table(static.n_views)
-        return masks[jax.random.randint(jax.random.fold_in(key_steps, count), (batch,), 0, masks.shape[0])]
-
-    def loss_of(params: Params, x: jax.Array, y: jax.Array, view_mask: jax.Array) -> jax.Array:
-        return jnp.mean(jnp.sum((predict(params, x, view_mask, static) - y) ** 2, axis=-1))
-
-    def step(state: Any, inputs: Any) -> Any:
-        params, opt_state = state
-        count, index = inputs
-        loss, grads = jax.value_and_grad(loss_of)(params, data.x[index], data.y[index], view_masks(count))
-        # optax's bias correction raises a float to an integer power, which strict promotion (our tests') refuses.
-        with jax.numpy_dtype_promotion("standard"):
-            updates, opt_state = optimizer.update(grads, opt_state, params)
-        return (optax.apply_updates(params, updates), opt_state), loss
-
-    def epoch(state: Any, number: jax.Array) -> Any:
-        order = jax.random.permutation(jax.random.fold_in(key_order, number), n)
-        index = order[: per_epoch * batch].reshape(per_epoch, batch)
-        state, losses = jax.lax.scan(step, state, (number * per_epoch + jnp.arange(per_epoch), index))
-        return state, {"loss": jnp.mean(losses)}
-
-    (params, _), metrics = jax.lax.scan(epoch, (params, optimizer.init(params)), jnp.arange(epochs))
-    return params, metrics
+    return train_epochs(key_order, params, optimizer, sample, loss_of, n, (batch, per_epoch, epochs))

@@ -5,6 +5,7 @@ that shares a key, so members that differ in their hyperparameters are paired, a
 is one large matrix product over a shared minibatch.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -150,24 +151,59 @@ def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) ->
     """
     key_init, key_order, key_steps = jax.random.split(key, 3)
     n = data.x.shape[0]
-    batch = min(static.batch, n)
-    per_epoch = n // batch
-    epochs = -(-static.steps // per_epoch)
+    batch, per_epoch, epochs = schedule_of(static.steps, static.batch, n)
     optimizer = make_optimizer(hypers, static, epochs * per_epoch)
-    params = init(key_init, static.arch)
     rows = view_rows(static, batch)[1]
 
-    def step(state: Any, inputs: Any) -> Any:
-        params, opt_state = state
-        count, index = inputs
+    def sample(count: jax.Array, index: jax.Array) -> Batch:
         key_batch, key_nesting = jax.random.split(jax.random.fold_in(key_steps, count))
         minibatch = sample_batch(key_batch, index, data, static)
         mask = without_nesting(key_nesting, minibatch.prefix_mask, hypers.nesting)
-        grad_fn = jax.value_and_grad(composite_loss, has_aux=True)
-        (loss, terms), grads = grad_fn(
-            *(params, minibatch._replace(prefix_mask=mask), hypers),
-            *(static.arch, static.prior, rows, static.precision),
-        )
+        return minibatch._replace(prefix_mask=mask)
+
+    def loss_of(params: Params, minibatch: Batch) -> tuple[jax.Array, dict[str, jax.Array]]:
+        return composite_loss(params, minibatch, hypers, static.arch, static.prior, rows, static.precision)
+
+    return train_epochs(
+        key_order, init(key_init, static.arch), optimizer, sample, loss_of, n, (batch, per_epoch, epochs)
+    )
+
+
+def schedule_of(steps: int, batch: int, n: int) -> tuple[int, int, int]:
+    """Whole epochs: examples per step, steps per epoch, epochs, for n training examples."""
+    size = min(batch, n)
+    return size, n // size, -(-steps // (n // size))
+
+
+def train_epochs(
+    key_order: jax.Array,
+    params: Params,
+    optimizer: optax.GradientTransformation,
+    sample: Callable[[jax.Array, jax.Array], Any],
+    loss_of: Callable[[Params, Any], tuple[jax.Array, dict[str, jax.Array]]],
+    n: int,
+    schedule: tuple[int, int, int],
+) -> tuple[Params, dict[str, jax.Array]]:
+    """Epochs of minibatches in random order, as one nested scan.
+
+    Args:
+        key_order: sets the order of examples.
+        params: initial parameters.
+        optimizer: gradient transformation.
+        sample: minibatch of a step's number and its [B] rows.
+        loss_of: loss and its terms, of parameters and a minibatch.
+        n: training examples.
+        schedule: see `schedule_of`.
+
+    Returns:
+        Parameters, and metrics [epochs]: mean `loss` and its terms per epoch.
+    """
+    batch, per_epoch, epochs = schedule
+
+    def step(state: Any, inputs: Any) -> Any:
+        params, opt_state = state
+        minibatch = sample(*inputs)
+        (loss, terms), grads = jax.value_and_grad(loss_of, has_aux=True)(params, minibatch)
         # optax's bias correction raises a float to an integer power, which strict promotion (our tests') refuses.
         with jax.numpy_dtype_promotion("standard"):
             updates, opt_state = optimizer.update(grads, opt_state, params)

@@ -1,7 +1,7 @@
 """Claims: a statement, the paper's number, ours with its interval, and a verdict by a stated rule."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -86,6 +86,11 @@ def above(value: Interval, limit: float) -> str:
     if value.mean < limit:
         return NOT_HELD
     return HELD if value.low >= limit else ON_AVERAGE
+
+
+def weakest(verdicts: Iterable[str]) -> str:
+    """Verdict on a claim with several parts: as good as its weakest part."""
+    return max(verdicts, key=(HELD, ON_AVERAGE, NOT_HELD).index)
 
 
 def write_claims(path: Path, claims: Sequence[Claim]) -> None:

@@ -17,7 +17,7 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -107,7 +107,7 @@ def _compute(
     ray: Any, work: Work, pending: Sequence[int], path: Path | None, at_once: int
 ) -> Iterator[tuple[int, Block | None]]:
     with _by_value(ray.cloudpickle):
-        held = ray.put(replace(work))  # a copy without the lowered program, which cannot travel
+        held = ray.put(work)
     where = None if path is None else str(path.absolute())
     job = _Job(
         held,
@@ -162,7 +162,6 @@ def _compute(
         # No worker may write any more when the driver gives up the store's lock.
         for ref in running:
             ray.cancel(ref, force=True)
-        ray.wait(list(running), num_returns=len(running), timeout=10) if running else None
         if running:
             ray.wait(list(running), num_returns=len(running), timeout=10)
 

@@ -158,8 +158,8 @@ def choose_shape(grid: Grid, outer: int | None, cost: tuple[int, int], chunk: in
     fit = max(1, int(_MEMORY_SHARE * available_bytes(devices[0]) / (alive + output) / at_once))
     on_cpu = devices[0].platform == "cpu"
     if lanes is None:
-        lanes = chunk or (max(1, min(fit, _CACHE_BYTES // alive)) if on_cpu else fit)
-    lanes = max(1, min(lanes, grid.size))
+        lanes = min(fit, _CACHE_BYTES // alive) if on_cpu else fit
+    lanes = max(1, min(lanes, chunk or grid.size, grid.size))
     if chunk is None:
         # Small enough that every worker has several and little is lost when one is interrupted, yet not too many.
         chunk = max(lanes * len(devices), -(-grid.size // _MAX_CHUNKS))
