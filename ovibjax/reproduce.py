@@ -250,7 +250,7 @@ def reproduce(
 
 
 def _remove_old(folder: Path) -> None:
-    """Remove finished sweeps of which nothing was used for a week; unfinished ones are somebody's work."""
+    """Remove finished sweeps begun more than a week ago; unfinished ones are somebody's work."""
     for path in folder.glob("*.zarr"):
         if time.time() - path.stat().st_mtime < _KEPT_S:
             continue

@@ -305,6 +305,8 @@ def _draw_sweep(
     ax.set_xticks(x, [f"{value:g}" for value in values])
     ax.set(xlabel=label, ylabel="mean error (m)", yscale="log")
     fig.plain_log_ticks(ax.yaxis)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high * (high / low) ** 0.5)  # room for the legend
     ax.legend(loc="upper left")
 
 

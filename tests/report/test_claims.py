@@ -14,6 +14,7 @@ from ovibjax.report.claims import (
     below,
     interval,
     read_claims,
+    weakest,
     write_claims,
 )
 from ovibjax.report.page import write_page
@@ -52,3 +53,9 @@ def test_page_shows_every_claim(tmp_path) -> None:
     assert "## One" in page and "one/figure.png" in page and "| 1 | 2 |" in page
     for verdict in (HELD, NOT_HELD, REPORTED):
         assert f"claim \\| {verdict}" in page
+
+
+def test_a_claim_of_several_parts_is_as_good_as_its_weakest() -> None:
+    assert weakest([HELD, HELD]) == HELD
+    assert weakest([HELD, ON_AVERAGE]) == ON_AVERAGE
+    assert weakest(iter([ON_AVERAGE, NOT_HELD, HELD])) == NOT_HELD
