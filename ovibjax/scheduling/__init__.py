@@ -1,0 +1,1 @@
+"""Edge scheduling: which waiting request is served next."""
