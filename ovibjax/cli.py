@@ -1,4 +1,4 @@
-"""The command line: `ovibjax reproduce`, `sweep`, `show` and `town`.
+"""The command line: `ovibjax reproduce`, `sweep`, `show`, `replay` and `town`.
 
 The only place, with the tests' `conftest.py`, where process-wide settings are made.
 """
@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from ovibjax.cli_replay import Replay
 from ovibjax.cli_sweep import Show, SweepTrain
 from ovibjax.errors import InputError
 from ovibjax.progress import console
@@ -94,6 +95,7 @@ Command = (
     Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[SweepTrain, tyro.conf.subcommand("sweep")]
     | Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[TownCommand, tyro.conf.subcommand("town")]
 )
 
@@ -101,6 +103,7 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("reproduce",): Reproduce,
     ("sweep", "train"): SweepTrain,
     ("show",): Show,
+    ("replay",): Replay,
     ("town",): TownCommand,
 }
 

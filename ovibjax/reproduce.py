@@ -94,6 +94,11 @@ class Job:
         _remove_old(folder)
         return dataset.assign_attrs(resumed=found[0])
 
+    @property
+    def own_features(self) -> FeatureSet | None:
+        """The user's feature set; None for the embedded town, where a card may drive elsewhere."""
+        return None if self.embedded else self.features
+
     def record(self, title: str, caption: str, seeds: Iterable[int], started: float, **facts: Any) -> None:
         """Write `provenance.json`: what every card says of itself, and its own facts.
 

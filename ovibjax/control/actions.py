@@ -1,0 +1,58 @@
+"""The actions of the online controller: a view mode and a prefix length (paper, Section "View-Rate Encoding").
+
+Actions are numbered mode by mode, prefixes inside: F-C, F-R, FS-C, FS-R, ... with C the compact and R the rich prefix.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovibjax.link.payload import request_bytes
+from ovibjax.views import MODES
+
+
+@dataclass(frozen=True)
+class ActionSet:
+    """Modes times prefixes; hashable, a static argument.
+
+    Attributes:
+        modes: view modes, keys of `MODES`.
+        prefixes: prefix lengths k, ascending.
+    """
+
+    modes: tuple[str, ...] = tuple(MODES)
+    prefixes: tuple[int, ...] = (16, 32)
+
+    def __len__(self) -> int:
+        return len(self.modes) * len(self.prefixes)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """`FS-C` and the like; `FS-16` where there are not exactly two prefixes."""
+        letters = ("C", "R") if len(self.prefixes) == 2 else tuple(map(str, self.prefixes))
+        return tuple(f"{mode}-{letter}" for mode in self.modes for letter in letters)
+
+    @property
+    def mode(self) -> np.ndarray:
+        """[A] int32 position of each action's mode in `MODES`."""
+        order = tuple(MODES)
+        return np.repeat([order.index(mode) for mode in self.modes], len(self.prefixes)).astype(np.int32)
+
+    @property
+    def prefix(self) -> np.ndarray:
+        """[A] int32 prefix length of each action."""
+        return np.tile(self.prefixes, len(self.modes)).astype(np.int32)
+
+    @property
+    def payload_bytes(self) -> np.ndarray:
+        """[A] float32 request size b(a) = 4 k + 20 + 4 |S|."""
+        views = np.repeat([len(MODES[mode]) for mode in self.modes], len(self.prefixes))
+        return np.asarray(request_bytes(self.prefix, views), np.float32)
+
+    def index(self, mode: str, prefix: int) -> int:
+        """Number of an action."""
+        return self.modes.index(mode) * len(self.prefixes) + self.prefixes.index(prefix)
+
+
+ACTIONS = ActionSet()
+"""The paper's A_ctrl = {F, FS, H4, A5} x {16, 32}."""

@@ -1,0 +1,37 @@
+"""Where a compiled element-wise program is cut into loops.
+
+XLA's CPU backend fuses element-wise chains into every array they end in, and computes the chain again for each. A
+simulator step that ends in a dozen state arrays then does its work a dozen times. Nothing in the language says
+"compute this once"; a branch on a number that is known only at run time does, as fusion stops there.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+Result = TypeVar("Result")
+
+
+def computed_once(running: jax.Array, function: Callable[..., Result], *operands: Any) -> Result:
+    """`function(*operands)`, computed once on a CPU however many results depend on it.
+
+    Measured on 4,096 replays of 593 slots (control.replay): 184 ns per slot without, 27 ns with three of these.
+
+    Args:
+        running: scalar bool, true, that the compiler cannot know and that no `vmap` maps, such as `slot >= 0` of a
+            scan's slot number.
+        function: traceable, of arrays.
+        operands: its arguments.
+
+    Returns:
+        What the function returns; on an accelerator, where fusion has no such cost, by a plain call.
+    """
+    shapes = jax.eval_shape(function, *operands)
+
+    def cut(*operands: Any) -> Result:
+        blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+        return jax.lax.cond(running, function, lambda *_: blank, *operands)
+
+    return jax.lax.platform_dependent(*operands, cpu=cut, default=function)
