@@ -291,7 +291,7 @@ def _draw_frontier(ax: Axes, results: Results) -> None:
 def _draw_frames(ax: Axes, results: Results) -> None:
     groups: list[tuple[str, str, np.ndarray]] = []
     for label, method, k in (
-        *((f"O-VIB k={results.chosen}", "ovib", results.chosen), ("O-VIB k=16", "ovib", 16)),
+        *((f"O-VIB k={k}", "ovib", k) for k in sorted({16, results.chosen}, reverse=True)),
         *((f"fixed-rate K={k}", f"fixed_{k}", k) for k in FIXED),
         *(("VIB k=16", "vib", 16), ("PCA k=16", "pca", 16), ("PCA k=35", "pca", 35), ("raw", "raw", None)),
     ):

@@ -125,8 +125,8 @@ def caption(found: ControlStudy) -> str:
     return (
         f"VOI-Control on {len(found.seeds)} held-out seeds, 95 % intervals. (a) Share of slots with an upload "
         "by context and view mode; black ticks: the paper's totals. (b) Medians: local risk before a request and after "
-        "its correction, and the realised residual of the position that the edge returned. (c) Train-only median residual "
-        "of the compact actions."
+        "its correction, and the realised residual of the position that the edge returned. (c) Train-only "
+        "median residual of the compact actions."
     )
 
 

@@ -64,13 +64,15 @@ PAPER_BUDGET_KB = 2.1
 
 def make_controller(
     actions: ActionSet,
-    bandwidth_m_per_s: float = 2.0,
-    delay_m_per_s: float = 2.0,
-    threshold_m: float = 3.0,
-    min_gap_s: float = 2.0,
+    bandwidth_m_per_s: float = 117.0,
+    delay_m_per_s: float = 29.0,
+    threshold_m: float = 0.27,
+    min_gap_s: float = 9.5,
     budget_kb: float = PAPER_BUDGET_KB,
 ) -> Controller:
     """A controller with the paper's rules, no price on energy, and every action available.
+
+    The default prices, threshold and gap are those that the tuning seeds of the full preset selected.
 
     Args:
         actions: the action set.

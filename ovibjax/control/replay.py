@@ -124,6 +124,12 @@ class Summary(NamedTuple):
     kb: jax.Array
 
 
+def by_action(params: Params) -> Params:
+    """The same numbers with one array per action: sliced before the loop, mapped candidates stay contiguous in it."""
+    control = params.control
+    return params._replace(control=control._replace(energy_j=(*control.energy_j,), available=(*control.available,)))
+
+
 def start(draws: Draws) -> State:
     """A client before the first slot."""
     zero = jnp.zeros_like(draws.rate_bps[0])
@@ -288,7 +294,7 @@ def replay_schedule(
     Returns:
         [T] of everything that happened.
     """
-    slots = slots_of(route, draws, planned)
+    slots, params = slots_of(route, draws, planned), by_action(params)
     return jax.lax.scan(lambda state, slot: step(state, slot, policy, params, actions), start(draws), slots)[1]
 
 
@@ -362,6 +368,7 @@ def score(draws: Draws, route: Route, policy: str, params: Params, actions: Acti
     """
     n = draws.rate_bps.shape[0]
     planned = plan(draws, policy, params, jnp.zeros(n, bool))
+    params = by_action(params)
     zero = jnp.zeros_like(draws.rate_bps[0])
 
     def one(carry: Any, slot: Slot) -> tuple[Any, None]:

@@ -1,0 +1,163 @@
+"""Many clients on one edge server: recorded requests to multi-client traces, every rule on every case, one program."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ovibjax.control.actions import ActionSet
+from ovibjax.control.replay import RouteResult
+from ovibjax.control.world import SLOT_S
+from ovibjax.scheduling.lanes import run_grid
+from ovibjax.scheduling.priority import POLICIES, SchedulerParams
+from ovibjax.scheduling.traces import Events, ReplayMetrics, TraceParams, Workload, make_trace, metrics
+
+LEVELS = {"low": (10, 12.0), "medium": (20, 8.0), "high": (30, 4.0)}
+"""Congestion: clients, and the weak-link profile in KB/s."""
+
+PHASE_SPREAD_S = 0.54
+"""Clients start the route uniformly within this time. The paper does not give it; at this value the edge p95 of FIFO at
+high congestion lies at the paper's 93 ms, and the other policies fall as they fall."""
+
+
+class Case(NamedTuple):
+    """One workload; fields [cases].
+
+    Attributes:
+        clients: number of clients N.
+        rate_kb_per_s: link profile.
+        phase_spread_s: spread of the clients' starts.
+    """
+
+    clients: jax.Array
+    rate_kb_per_s: jax.Array
+    phase_spread_s: jax.Array
+
+
+def recorded_events(run: RouteResult, context: np.ndarray, drift_m2_per_s: np.ndarray, actions: ActionSet) -> Events:
+    """Requests of one recorded control replay.
+
+    The fitted drift rate is that at which the local risk grows at the request: d sqrt(tr P) / dt = q / (2 L).
+
+    Args:
+        run: the replay, fields [T], on the host.
+        context: [T] route context.
+        drift_m2_per_s: [C] growth of tr P by context.
+        actions: what action numbers mean.
+
+    Returns:
+        Events in the order of time.
+    """
+    slots = np.flatnonzero(run.sent)
+    action = np.asarray(run.action)[slots]
+    risk_m = np.asarray(run.risk_before_m)[slots]
+    return Events(
+        time_s=jnp.asarray(SLOT_S * slots, jnp.float32),
+        mode=jnp.asarray(actions.mode[action]),
+        payload_bytes=jnp.asarray(actions.payload_bytes[action], jnp.int32),
+        voi_m=jnp.asarray(np.asarray(run.voi_m)[slots]),
+        risk_m=jnp.asarray(risk_m),
+        drift_m_per_s=jnp.asarray(np.asarray(drift_m2_per_s)[context[slots]] / (2.0 * risk_m), jnp.float32),
+        delay_est_ms=jnp.asarray(1000.0 * np.asarray(run.delay_s)[slots]),
+        valid=jnp.ones(len(slots), bool),
+    )
+
+
+def workloads(keys: jax.Array, events: Events, cases: Case, trace: TraceParams, n_max: int) -> Workload:
+    """A trace per case and seed, padded to the largest number of clients.
+
+    Args:
+        keys: [S] keys of the seeds; cases of one seed share their draws.
+        events: recorded requests of one client.
+        cases: [R] cases.
+        trace: urgency, deadlines, service.
+        n_max: most clients of any case (static).
+
+    Returns:
+        Fields [R, S, J].
+    """
+
+    def one(case: Case, key: jax.Array) -> Workload:
+        made = make_trace(key, events, n_max, case.rate_kb_per_s, trace._replace(phase_spread_s=case.phase_spread_s))
+        requests = made.requests
+        return made._replace(requests=requests._replace(valid=requests.valid & (requests.client < case.clients)))
+
+    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(cases, keys)
+
+
+@partial(jax.jit, static_argnames=("n_max", "policies"))
+def compare(
+    keys: jax.Array,
+    events: Events,
+    cases: Case,
+    trace: TraceParams,
+    params: SchedulerParams,
+    n_max: int,
+    policies: tuple[str, ...] = POLICIES,
+) -> dict[str, ReplayMetrics]:
+    """Replay every policy on every case, seed and setting of the parameters.
+
+    Args:
+        keys: [S] keys of the seeds.
+        events: recorded requests of one client.
+        cases: [R] cases.
+        trace: urgency, deadlines, service.
+        params: leaves scalars or [P].
+        n_max: most clients of any case (static).
+        policies: which rules (static).
+
+    Returns:
+        Metrics [R, S, P] by policy.
+    """
+    made = workloads(keys, events, cases, trace, n_max)
+    shape = made.uplink_ms.shape[:2]
+    flat: Workload = jax.tree.map(lambda leaf: leaf.reshape(-1, leaf.shape[-1]), made)
+    size = max((leaf.shape[0] for leaf in jax.tree.leaves(params) if leaf.ndim), default=1)
+    full = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size,)), params)
+
+    def judged(policy: str) -> ReplayMetrics:
+        found = run_grid(flat.requests, policy, full, metrics, flat)
+        return jax.tree.map(lambda leaf: leaf.reshape(*shape, size), found)
+
+    return {policy: judged(policy) for policy in policies}
+
+
+def objectives(workload: Workload, waits_ms: jax.Array, params: SchedulerParams) -> jax.Array:
+    """What a search of the weights looks at: cost and edge p95 of the top decile and of all requests.
+
+    Args:
+        workload: leaves [J].
+        waits_ms: [J] waits of its replay.
+        params: scalars.
+
+    Returns:
+        [4] top cost, top edge p95 (ms), cost of all, edge p95 of all (ms).
+    """
+    found = metrics(workload, waits_ms, params)
+    return jnp.stack([found.top.cost, found.top.edge_p95_ms, found.every.cost, found.every.edge_p95_ms])
+
+
+@partial(jax.jit, static_argnames="n_max")
+def search(
+    keys: jax.Array, events: Events, cases: Case, trace: TraceParams, tried: SchedulerParams, n_max: int
+) -> jax.Array:
+    """Replay the shaped rule with every candidate of its weights.
+
+    Args:
+        keys: [S] keys of the tuning seeds.
+        events: recorded requests of one client.
+        cases: [R] cases.
+        trace: urgency, deadlines, service.
+        tried: leaves [P].
+        n_max: most clients of any case (static).
+
+    Returns:
+        [R, S, P, 4] see `objectives`.
+    """
+    made = workloads(keys, events, cases, trace, n_max)
+    shape = made.uplink_ms.shape[:2]
+    flat: Workload = jax.tree.map(lambda leaf: leaf.reshape(-1, leaf.shape[-1]), made)
+    found = run_grid(flat.requests, "voi_lyapunov", tried, objectives, flat)
+    return found.reshape(*shape, *found.shape[1:])

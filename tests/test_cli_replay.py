@@ -1,0 +1,62 @@
+"""The replay command end to end: somebody's own frames and link, and bad input in one line."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ovibjax.features.frames import make_feature_set, save
+
+
+def ovibjax(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "OVIBJAX_CACHE": str(cwd / "cache"), "COLUMNS": "200"}
+    command = [sys.executable, "-m", "ovibjax", "replay", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=300)
+
+
+def write_drive(path: Path, n: int = 220, n_views: int = 4, dim: int = 24) -> None:
+    rng = np.random.default_rng(0)
+    position = np.stack([1.6 * np.arange(n), np.zeros(n), np.full(n, 20.0)], axis=1).astype(np.float32)
+    mix = rng.normal(size=(3, n_views * dim)) / 30
+    features = np.tanh(position @ mix).reshape(n, n_views, dim) + 0.05 * rng.normal(size=(n, n_views, dim))
+    save(path, make_feature_set(features, position))
+
+
+def test_own_frames_on_a_measured_link(tmp_path: Path) -> None:
+    write_drive(tmp_path / "mine.npz")
+    (tmp_path / "link.txt").write_text("".join(f"{t} {0.05 + 0.01 * (t % 3)}\n" for t in range(60)))
+    done = ovibjax(
+        *("--policy", "voi", "uncertainty", "--data", "mine.npz", "--trace", "link.txt", "--seed", "3", "--plot"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = [line.split("│")[1:-1] for line in done.stdout.splitlines() if "voi" in line or "uncertainty" in line]
+    assert [row[0].strip() for row in rows] == ["voi", "uncertainty"]
+    for row in rows:
+        mean, p95, risk, requests, kb = (float(cell) for cell in row[1:])
+        assert 0 < mean < p95 and risk > 0 and requests >= 0 and kb <= 2.1
+    with Image.open(tmp_path / "replay.png") as picture:
+        assert picture.width >= 1000
+
+
+def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+    (tmp_path / "back.txt").write_text("0 1\n1 1\n0.5 1\n")
+    cases = {
+        ("--policy", "vio"): "did you mean voi",
+        ("--profile", "0"): "--profile",
+        ("--seed", "-1"): "--seed",
+        ("--budget", "nan"): "--budget",
+        ("--trace", "back.txt"): "back.txt",
+        ("--trace", "absent.txt"): "absent.txt",
+        ("--data", "absent.npz"): "absent.npz",
+        ("--plot", "--out", "absent/x.png"): "absent",
+        ("--polcy", "voi"): "did you mean --policy",
+    }
+    for arguments, words in cases.items():
+        done = ovibjax(*arguments, cwd=tmp_path)
+        assert done.returncode == 2, (arguments, done.stderr)
+        assert words in done.stderr and "Traceback" not in done.stderr, (arguments, done.stderr)
+        assert len(done.stderr.strip().splitlines()) == 1, (arguments, done.stderr)
