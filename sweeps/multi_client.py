@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from ovibjax.control.study import seeds_to_keys
 from ovibjax.progress import console
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, above, interval, weakest, write_claims
+from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, interval, positive, weakest, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Job
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case, compare
@@ -142,7 +142,7 @@ def judge_claims(found: Found) -> list[Claim]:
                 f"Top decile at high congestion: VOI-Lyapunov has the lowest {word} of the five",
                 paper,
                 " / ".join(texts) + " (Base-DPP, MaxWeight, EDF, FIFO)",
-                weakest(above(interval(rival - ours), 0.0) for rival in rivals.values()),
+                weakest(positive(interval(rival - ours)) for rival in rivals.values()),
                 "paired 95 % interval against every other policy above zero",
             )
         )
@@ -153,7 +153,7 @@ def judge_claims(found: Found) -> list[Claim]:
             "Top decile at high congestion: VOI-Lyapunov cuts the edge p95 of Base-DPP",
             "76.2 %",
             percent.text("%", 1),
-            above(percent, 0.0),
+            positive(percent),
             "paired 95 % interval above zero",
         )
     )
@@ -171,7 +171,7 @@ def _all_requests(found: Found) -> list[Claim]:
                     f"All requests at high congestion: {NAMES[fast]} has a lower edge p95 than {NAMES[slow]}",
                     f"{PAPER_ALL_EDGE[fast]} / {PAPER_ALL_EDGE[slow]} ms",
                     f"{' / '.join(texts)}, difference {span.text('ms', 1)}",
-                    above(span, 0.0),
+                    positive(span),
                     "paired 95 % interval above zero",
                 )
             )

@@ -12,7 +12,7 @@ from ovibjax.control.policies import POLICIES
 from ovibjax.control.presets import ControlStudy
 from ovibjax.control_cards import COLOURS, NAMES, policy_rows, representative, study
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import Claim, above, below, interval, weakest, write_claims
+from ovibjax.report.claims import Claim, below, interval, positive, weakest, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Job
 from ovibjax.timeline import draw_requests, legend, shade, time_s
@@ -43,7 +43,7 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
                 f"VOI-Control has a lower mean and p95 error than {NAMES[rival]} under the same budget",
                 f"{PAPER[rival][0]} / {PAPER[rival][1]} m against {PAPER['voi'][0]} / {PAPER['voi'][1]} m",
                 f"{NAMES[rival]} {ours}; differences {spans[0].text('m')} / {spans[1].text('m')}",
-                weakest(above(span, 0.0) for span in spans),
+                weakest(positive(span) for span in spans),
                 "whole 95 % intervals of both paired differences above zero",
             )
         )
@@ -57,7 +57,7 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
             "VOI-Control sends its requests when uncertainty has grown",
             "concentrates uploads around uncertainty growth",
             f"local risk at a request minus its mean over all slots: {growth.text('m')}",
-            above(growth, 0.0),
+            positive(growth),
             "whole 95 % interval above zero",
         ),
         Claim(

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from ovibjax.control.presets import ControlStudy
 from ovibjax.control_cards import MODE_COLOURS, study
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, above, interval, write_claims
+from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, interval, positive, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Job
 
@@ -88,7 +88,7 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
                 f"VOI-Control uploads in a larger share of {b} than of {a} slots",
                 f"{PAPER_SHARE[b]} % / {PAPER_SHARE[a]} %",
                 " / ".join(_span(shares[c]).text("%", 1) for c in (high, low)) + f", difference {span.text('%', 1)}",
-                above(span, 0.0) if np.isfinite(span.mean) else NOT_HELD,
+                positive(span) if np.isfinite(span.mean) else NOT_HELD,
                 "whole 95 % interval of the paired difference above zero",
             )
         )

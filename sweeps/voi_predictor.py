@@ -13,7 +13,7 @@ from ovibjax.control.policies import PAPER_BUDGET_KB, POLICIES
 from ovibjax.control.presets import BUDGETS_KB, DRIFT_SCALES, ControlStudy
 from ovibjax.control_cards import COLOURS, NAMES, policy_rows, study
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, Interval, above, interval, write_claims
+from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, Interval, interval, positive, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Job
 
@@ -91,7 +91,7 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
                 f"{NAMES[lower]} has a lower mean error than {NAMES[higher]}",
                 f"{PAPER_MEAN_M[lower]} / {PAPER_MEAN_M[higher]} m",
                 f"{a.text('m')} / {b.text('m')}, difference {span.text('m')}",
-                above(span, 0.0),
+                positive(span),
                 rule,
             )
         )
@@ -108,7 +108,7 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
                 f"VOI-Control reduces the {word} error of {NAMES[rival]}",
                 paper,
                 f"{percent.text('%', 1)} ({metres.text('m')})",
-                above(metres, 0.0),
+                positive(metres),
                 rule,
             )
         )

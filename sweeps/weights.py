@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from ovibjax.control.study import seeds_to_keys
 from ovibjax.progress import console
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import REPORTED, Claim, above, interval, write_claims
+from ovibjax.report.claims import REPORTED, Claim, interval, positive, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Job
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case, compare, search
@@ -153,7 +153,7 @@ def judge_claims(found: Found) -> list[Claim]:
                 f"Weights tuned for the cost of {word} beat the paper's on held-out seeds",
                 "fixed before testing",
                 f"cost {interval(tuned).text()} against {interval(paper).text()}, {percent.text('%', 1)} lower",
-                above(gain, 0.0),
+                positive(gain),
                 "paired 95 % interval above zero",
             )
         )
@@ -174,7 +174,7 @@ def judge_claims(found: Found) -> list[Claim]:
             f"Base-DPP gains from another V than 8 (tuned: {VS[found.best_v]:g})",
             "V = 8",
             f"top-decile cost lower by {gain.text()}",
-            above(gain, 0.0) if found.best_v != VS.index(8.0) else REPORTED,
+            positive(gain) if found.best_v != VS.index(8.0) else REPORTED,
             "paired 95 % interval above zero",
         )
     )

@@ -88,6 +88,13 @@ def above(value: Interval, limit: float) -> str:
     return HELD if value.low >= limit else ON_AVERAGE
 
 
+def positive(value: Interval) -> str:
+    """Verdict on `value > 0`, as `above` but strict: no difference at all is not a difference."""
+    if value.mean <= 0:
+        return NOT_HELD
+    return HELD if value.low > 0 else ON_AVERAGE
+
+
 def weakest(verdicts: Iterable[str]) -> str:
     """Verdict on a claim with several parts: as good as its weakest part."""
     return max(verdicts, key=(HELD, ON_AVERAGE, NOT_HELD).index)

@@ -13,6 +13,7 @@ from ovibjax.report.claims import (
     above,
     below,
     interval,
+    positive,
     read_claims,
     weakest,
     write_claims,
@@ -59,3 +60,10 @@ def test_a_claim_of_several_parts_is_as_good_as_its_weakest() -> None:
     assert weakest([HELD, HELD]) == HELD
     assert weakest([HELD, ON_AVERAGE]) == ON_AVERAGE
     assert weakest(iter([ON_AVERAGE, NOT_HELD, HELD])) == NOT_HELD
+
+
+def test_no_difference_at_all_is_not_held() -> None:
+    assert positive(interval([0.0, 0.0, 0.0])) == NOT_HELD
+    assert positive(interval([1.0, 1.1, 0.9])) == HELD
+    assert positive(interval([3.0, -1.0, 0.1])) == ON_AVERAGE
+    assert positive(interval([-1.0, -1.1, -0.9])) == NOT_HELD
