@@ -24,7 +24,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
 
 
-def ovibjax(*arguments: str, cache: Path, cwd: Path, timeout: float = 240) -> subprocess.CompletedProcess[str]:
+def ovibjax(*arguments: str, cache: Path, cwd: Path, timeout: float = 600) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "OVIBJAX_CACHE": str(cache), "COLUMNS": "200"}
     command = [sys.executable, "-m", "ovibjax", *arguments]
     return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=timeout)
@@ -58,7 +58,7 @@ def check_outputs(folder: Path) -> list[dict[str, str]]:
 
 
 def test_smoke_preset_makes_every_figure(tmp_path: Path, cache: Path) -> None:
-    done = ovibjax("reproduce", "--preset", "smoke", cache=cache, cwd=tmp_path, timeout=600)
+    done = ovibjax("reproduce", "--preset", "smoke", cache=cache, cwd=tmp_path, timeout=1800)
     assert done.returncode == 0, done.stderr
     for name in card_names():
         assert (tmp_path / "results" / name / "figure.png").exists()
@@ -108,7 +108,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, cache: Path) -> N
     }
     before = sorted(path.name for path in tmp_path.iterdir())
     for arguments, word in cases.items():
-        done = ovibjax("reproduce", *arguments, cache=cache, cwd=tmp_path, timeout=60)
+        done = ovibjax("reproduce", *arguments, cache=cache, cwd=tmp_path, timeout=180)
         assert done.returncode == 2, (arguments, done.stderr)
         assert "Traceback" not in done.stderr and word in done.stderr, (arguments, done.stderr)
         if arguments[0] not in ("--preset", "--sed"):  # the option parser draws a box around its own message
@@ -123,7 +123,7 @@ def test_interrupt_ends_in_one_line(tmp_path: Path, cache: Path) -> None:
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path) as process:
         time.sleep(12)
         process.send_signal(signal.SIGINT)
-        _, stderr = process.communicate(timeout=60)
+        _, stderr = process.communicate(timeout=180)
     assert process.returncode == 130, stderr
     assert "Traceback" not in stderr and "interrupted" in stderr
 
@@ -137,6 +137,6 @@ def test_every_card_loads_and_says_what_it_is() -> None:
 
 def test_help_teaches(tmp_path: Path, cache: Path) -> None:
     for command in ((), ("reproduce",), ("town",)):
-        done = ovibjax(*command, "--help", cache=cache, cwd=tmp_path, timeout=60)
+        done = ovibjax(*command, "--help", cache=cache, cwd=tmp_path, timeout=180)
         assert done.returncode == 0 and len(done.stdout) > 200
     assert "quick" in ovibjax("reproduce", "--help", cache=cache, cwd=tmp_path).stdout

@@ -108,7 +108,7 @@ class Observation(NamedTuple):
         realised_m: [A] realised residuals; for the oracle alone.
         rate_bps: uplink rate.
         delay_s: [A] predicted queueing, service and return delay.
-        since_s: time since the last request; infinite before the first.
+        since_s: time since the last request; days before the first.
         waiting: whether a correction is still under way.
         scheduled: whether this slot was planned ahead.
         allowed: per action, whether it is available and fits the budgets.

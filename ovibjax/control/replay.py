@@ -83,7 +83,7 @@ class SlotInfo(NamedTuple):
         sent: whether a request was sent.
         action: int32, with which action; meaningful where sent.
         payload_bytes: its size; 0 where none was sent.
-        voi_m: predicted net VOI of the action.
+        voi_m: predicted net VOI of the action; meaningful where sent.
         delay_s: its predicted queueing, service and return delay.
         latency_s: time from decision to correction.
         residual_m: realised residual of the action.

@@ -1,0 +1,158 @@
+"""Synthetic routes, worlds and controllers, and their translation for the oracle."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ovibjax.control import replay
+from ovibjax.control.actions import ACTIONS
+from ovibjax.control.policies import FOLLOW_VOI, POLICIES, make_controller
+from ovibjax.control.replay import Params
+from ovibjax.control.world import Route, draw, make_environment
+from tests.oracles import control as oracle
+
+SLOTS = 60
+PREDICTED = np.array(
+    [[8, 7, 3, 2.5, 2.8, 2.3, 2.6, 2.2], [12, 11, 5, 4.5, 4, 3.5, 3, 2.5], [9, 8, 2, 1.9, 4, 3.9, 5, 0]]
+)
+
+
+def make_route(seed, slots=SLOTS, actions=8):
+    """Contexts that last a few slots, a wandering heading, residuals with look-alikes far away."""
+    rng = np.random.default_rng(seed)
+    context = np.repeat(rng.integers(0, 3, slots), rng.integers(1, 12, slots))[:slots]
+    predicted = PREDICTED[context][:, :actions]
+    residual = rng.normal(size=(slots, actions, 2)) * (predicted[..., None] / np.sqrt(2) + 0.1)
+    residual += 40.0 * (rng.random((slots, actions, 1)) < 0.1) * rng.normal(size=(slots, actions, 2))
+    yaw = np.cumsum(rng.normal(scale=0.3, size=slots))
+    return Route(context.astype(np.int32), *(jnp.asarray(x, jnp.float32) for x in (yaw, predicted, residual)))
+
+
+def environment(**changes):
+    """The default environment with some leaves changed."""
+    return make_environment()._replace(**{name: jnp.asarray(value, jnp.float32) for name, value in changes.items()})
+
+
+def controller(actions=ACTIONS, **changes):
+    """A controller with some leaves changed; `rules` and `prices` by their fields."""
+    control = make_controller(actions, 2.0, 2.0, threshold_m=3.0, min_gap_s=2.0)
+    for part in ("rules", "prices"):
+        fields = {name: jnp.float32(v) for name, v in changes.pop(part, {}).items()}
+        control = control._replace(**{part: getattr(control, part)._replace(**fields)})
+    kinds = {name: bool if name == "available" else jnp.float32 for name in changes}
+    return control._replace(**{name: jnp.asarray(value, kinds[name]) for name, value in changes.items()})
+
+
+def for_oracle(draws, route, params, actions=ACTIONS):
+    """Arguments of `oracle.replay` after the policy."""
+    wide = partial(np.asarray, dtype=np.float64)
+    up, control = draws.increment, params.control
+
+    def matrices(b):
+        return np.stack([wide(x) for x in (b.cov_xx_m2, b.cov_xy_m2, b.cov_xy_m2, b.cov_yy_m2)], -1).reshape(-1, 2, 2)
+
+    world = {
+        "start_error": wide([draws.start.error_x_m, draws.start.error_y_m]),
+        "start_cov": matrices(draws.start)[0],
+        "drift_error": np.stack([wide(up.error_x_m), wide(up.error_y_m)], -1),
+        "drift_cov": matrices(up),
+        "rate": wide(draws.rate_bps),
+        "delay": wide(draws.delay_s),
+        "latency": wide(draws.latency_s),
+        "rank": np.asarray(draws.rank),
+        "phase": float(draws.phase_s),
+    }
+    numbers = {
+        "prices": [float(p) for p in control.prices],
+        "threshold": float(control.threshold_m),
+        "gap": float(control.min_gap_s),
+        "budget": float(control.budget_bytes),
+        "energy": wide(control.energy_j),
+        "energy_budget": float(control.energy_budget_j),
+        "available": np.asarray(control.available),
+        "gate": float(control.gate_sigma),
+        "period": float(control.rules.period_s),
+        "fixed_front": (float(control.rules.fixed_front_risk_m), float(control.rules.fixed_front_gap_s)),
+        "uncertainty": (float(control.rules.uncertainty_risk_m), float(control.rules.uncertainty_gap_s)),
+    }
+    return (
+        world,
+        {"predicted": wide(route.predicted_m), "residual": wide(route.residual_m)},
+        {"slot_s": float(params.env.slot_s), "timeout_s": float(params.env.timeout_s)},
+        numbers,
+        oracle.action_list(actions.modes, actions.prefixes),
+    )
+
+
+_follow = jax.jit(replay.replay_schedule, static_argnames=("policy", "actions"))
+_plan = jax.jit(replay.plan, static_argnames="policy")
+draw_jit = jax.jit(draw, static_argnames="actions")
+
+
+def simulate(draws, route, policy, params, actions=ACTIONS):
+    """`replay.simulate` from parts that are compiled once: VOI-Control for all, and one function for equal policies."""
+    sent = np.zeros(draws.rate_bps.shape, bool)
+    if policy in FOLLOW_VOI:
+        sent = _follow(draws, route, "voi", sent, params, actions).sent
+    same = next(name for name, function in POLICIES.items() if function is POLICIES[policy])
+    return _follow(draws, route, same, _plan(draws, policy, params, sent), params, actions)
+
+
+def both(policy, key, route, params, actions=ACTIONS):
+    """A replay by the library, NumPy leaves, and by the oracle."""
+    draws = draw_jit(key, route, params.env, actions)
+    found = jax.tree.map(np.asarray, simulate(draws, route, policy, params, actions))
+    return found, oracle.replay(policy, *for_oracle(draws, route, params, actions))
+
+
+def assert_equal(found, expected):
+    """Every decision equal, every number to float32's rounding over a route."""
+    sent = expected["sent"]
+    np.testing.assert_array_equal(found.sent, sent)
+    np.testing.assert_array_equal(found.action[sent], expected["action"][sent])
+    np.testing.assert_array_equal(found.payload_bytes, expected["payload"])
+    for name in ("error_m", "risk_m", "risk_before_m"):
+        np.testing.assert_allclose(getattr(found, name), expected[name[:-2]], rtol=2e-4, atol=1e-3, err_msg=name)
+    np.testing.assert_allclose(found.latency_s[sent], expected["latency"][sent], rtol=1e-5)
+    np.testing.assert_allclose(found.voi_m[sent], expected["voi"][sent], rtol=1e-4, atol=1e-4)
+
+
+WEAK = {"mean_kb_per_s": 0.15, "snr": 0.05, "rician_k_factor": 0.0, "queue_median_ms": 300.0, "timeout_s": 2.6}
+# No sum of these is a whole square: no risk ties with a rule's threshold.
+BUSY = {"drift_m2_per_s": [2.0137, 6.0219, 12.0341], "initial_risk_m": 5.0123}
+EAGER = {"threshold_m": 0.5, "min_gap_s": 0.0, "prices": {"bandwidth_m_per_s": 0.2, "delay_m_per_s": 0.2}}
+QUICK_RULES = {
+    "period_s": 1.6,
+    "fixed_front_risk_m": 3.0,
+    "fixed_front_gap_s": 0.5,
+    "uncertainty_risk_m": 4.0,
+    "uncertainty_gap_s": 1.5,
+}
+WORLDS = {
+    "paper": ({}, {}),
+    "paper rules, much drift": (BUSY, {"threshold_m": 1.0}),
+    "weak link": (BUSY | WEAK, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6}),
+    "weak link, no gate": (BUSY | WEAK, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": np.inf}),
+    "gate bites": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0}),
+    "tight budget": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 500.0}),
+    "budget of one byte less": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 4 * 96.0 - 1.0}),
+    "energy": (
+        BUSY,
+        EAGER
+        | {"rules": QUICK_RULES, "prices": {"bandwidth_m_per_s": 0.2, "delay_m_per_s": 0.2, "energy_m_per_j": 0.7}}
+        | {"energy_j": [0.25, 0.5, 0.75, 1.0, 1.0, 1.25, 2.0, 3.0], "energy_budget_j": 7.25, "budget_bytes": 1e6},
+    ),
+    "some unavailable": (
+        BUSY,
+        EAGER | {"rules": QUICK_RULES, "available": [1, 0, 1, 0, 1, 0, 0, 1], "budget_bytes": 1500.0},
+    ),
+    "long slots": (BUSY | WEAK | {"slot_s": 1.0}, EAGER | {"rules": QUICK_RULES}),
+}
+
+
+def world(name):
+    """Parameters of a named world."""
+    env, control = WORLDS[name]
+    return Params(environment(**env), controller(**control))

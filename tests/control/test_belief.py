@@ -1,0 +1,183 @@
+"""The belief: drift and fusion against 2x2 matrices, and a risk that says what the error is."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ovibjax.control import belief, replay
+from ovibjax.control.actions import ACTIONS
+from ovibjax.control.belief import Belief
+from ovibjax.control.replay import Params
+from ovibjax.control.world import Route, draw, drift_from_paper, make_environment
+from tests.control.cases import PREDICTED, controller, environment
+from tests.oracles import control as oracle
+
+correct = jax.jit(belief.correct)
+number = st.floats(-1.0, 1.0, width=32)
+
+
+def of(error, cov):
+    return Belief(*(jnp.float32(x) for x in (*error, cov[0, 0], cov[0, 1], cov[1, 1])))
+
+
+def parts(b):
+    b = jax.tree.map(lambda x: np.asarray(x, np.float64), b)
+    return np.array([b.error_x_m, b.error_y_m]), np.array([[b.cov_xx_m2, b.cov_xy_m2], [b.cov_xy_m2, b.cov_yy_m2]])
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.tuples(number, number, number, number),
+    st.tuples(st.floats(0.05, 200.0), st.floats(0.05, 200.0), st.floats(0.0, np.pi)),
+    st.sampled_from([0.0, 0.3, 2.0, 9.0, 60.0, 5000.0]),
+    st.sampled_from([0.5, 3.0, np.inf]),
+)
+def test_correction_is_the_textbook_update(vectors, shape, predicted, gate):
+    big, small, angle = shape
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    cov = (turn @ np.diag([big, small]) @ turn.T).astype(np.float32)
+    error, residual = 12.0 * np.float32(vectors[:2]), 12.0 * np.float32(vectors[2:])
+    want_error, want_cov, accepted = oracle.kalman(
+        error.astype(np.float64), cov.astype(np.float64), residual.astype(np.float64), predicted, gate
+    )
+    innovation = (residual - error).astype(np.float64)
+    distance = innovation @ np.linalg.solve(cov + (0.5 * predicted**2 + 1e-6) * np.eye(2), innovation)
+    if abs(distance - gate**2) < 1e-3 * gate**2:
+        return  # on the gate itself rounding decides
+    got_error, got_cov = parts(correct(of(error, cov), *map(jnp.float32, (*residual, predicted, gate))))
+    np.testing.assert_allclose(got_error, want_error, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(got_cov, want_cov, rtol=2e-3, atol=1e-5 * big)
+    assert accepted or np.array_equal(got_error, error.astype(np.float64))
+    if accepted:
+        assert np.trace(got_cov) <= np.trace(cov) * (1 + 1e-5) and np.all(np.linalg.eigvalsh(got_cov) > 0)
+
+
+def test_risk_and_error():
+    b = of([3.0, -4.0], np.array([[5.0, 1.0], [1.0, 11.0]]))
+    assert float(belief.local_risk_m(b)) == 4.0 and float(belief.error_m(b)) == 5.0
+    start = belief.initial(jnp.float32(3.0), jnp.array([1.0, -2.0]))
+    np.testing.assert_allclose(parts(start)[0], 3 / np.sqrt(2) * np.array([1, -2]), rtol=1e-6)
+    np.testing.assert_allclose(parts(start)[1], 4.5 * np.eye(2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.8, 1.0])
+def test_drift_is_the_oracles_and_has_the_covariance_it_states(share):
+    rng = np.random.default_rng(0)
+    normal = rng.normal(size=(20_000, 2)).astype(np.float32)
+    for variance, yaw in ((0.0, 1.0), (2.5, 0.0), (2.5, 0.7), (0.3, -2.0)):
+        count = jnp.full(len(normal), 1.0)
+        steps = belief.drift(variance * count, jnp.float32(share), yaw * count, normal)
+        for row in range(5):
+            one = jax.tree.map(lambda x, row=row: x[row], steps)
+            for got, want in zip(parts(one), oracle.drift(variance, share, yaw, normal[row]), strict=True):
+                np.testing.assert_allclose(got, want, rtol=1e-5, atol=1e-5)
+        errors = np.stack([steps.error_x_m, steps.error_y_m])
+        np.testing.assert_allclose(np.cov(errors), parts(one)[1], atol=0.05 * max(variance, 1e-9))
+    np.testing.assert_allclose(parts(belief.propagate(one, one))[1], 2 * parts(one)[1], rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def realizations():
+    """Errors and beliefs of 6,000 clients whose residuals come from the measurement model, with late corrections."""
+    slots, count = 60, 6000
+    context = np.repeat([0, 2, 1, 0, 2, 1], 10).astype(np.int32)
+    predicted = jnp.asarray(PREDICTED[context], jnp.float32)
+    yaw = jnp.full(slots, 0.6)
+
+    def one(key, env, control):
+        residual = jax.random.normal(jax.random.fold_in(key, 7), (*predicted.shape, 2)) * predicted[..., None]
+        route = Route(context, yaw, predicted, residual / jnp.sqrt(2.0))
+        draws = draw(key, route, env, ACTIONS)
+        slots_in = replay.slots_of(route, draws, jnp.zeros(slots, bool))
+
+        def step(state, slot):
+            state, info = replay.step(state, slot, "voi", Params(env, control), ACTIONS)
+            return state, (state.belief, info)
+
+        return jax.lax.scan(step, replay.start(draws), slots_in)[1]
+
+    many = jax.jit(jax.vmap(one, (0, None, None)))
+    return lambda env, control: many(jax.random.split(jax.random.key(11), count), env, control)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.95])
+@pytest.mark.parametrize("case", ["no requests", "prompt", "late"])
+def test_risk_is_calibrated(realizations, case, share):
+    changes = (
+        {"mean_kb_per_s": 0.4, "snr": 0.5, "rician_k_factor": 0.0, "queue_median_ms": 400.0} if case == "late" else {}
+    )
+    env = environment(drift_m2_per_s=[2.0, 6.0, 12.0], along_share=share, **changes)
+    control = controller(
+        threshold_m=0.5,
+        min_gap_s=1.0,
+        gate_sigma=np.inf,
+        budget_bytes=0.0 if case == "no requests" else 1e9,
+        prices={"bandwidth_m_per_s": 0.3, "delay_m_per_s": 0.3},
+    )
+    beliefs, info = realizations(env, control)
+    beliefs, info = (jax.tree.map(lambda x: np.asarray(x, np.float64), part) for part in (beliefs, info))
+    requests = info.sent.sum(axis=1).mean()
+    assert requests == 0 if case == "no requests" else requests > 4
+    if case == "late":
+        assert (info.latency_s[info.sent > 0] > 1.0).mean() > 0.3
+    squared, trace = info.error_m**2, info.risk_m**2
+    # Thirds of the route apart: calibrated before, between and after requests, within each client's own belief.
+    for part in np.array_split(np.arange(squared.shape[1]), 3):
+        assert squared[:, part].mean() == pytest.approx(trace[:, part].mean(), rel=0.05)
+    high = trace > np.median(trace, axis=0)
+    assert squared.mean() == pytest.approx(trace.mean(), rel=0.03)
+    if requests:
+        assert squared[high].mean() == pytest.approx(trace[high].mean(), rel=0.05)
+    # The whole matrix, not the trace alone.
+    scale = trace.mean()
+    pairs = (
+        (beliefs.error_x_m**2, beliefs.cov_xx_m2),
+        (beliefs.error_x_m * beliefs.error_y_m, beliefs.cov_xy_m2),
+        (beliefs.error_y_m**2, beliefs.cov_yy_m2),
+    )
+    for product, cov in pairs:
+        assert product.mean() == pytest.approx(cov.mean(), abs=0.03 * scale)
+    assert share == 0.5 or beliefs.cov_xy_m2.mean() > 0.1 * scale  # the heading leaves its mark
+
+
+def test_draws_have_the_stated_distribution():
+    slots = 20_000
+    context = np.tile([0, 1, 2, 2], slots // 4).astype(np.int32)
+    flat = jnp.zeros((slots, 1))
+    route = Route(context, jnp.full(slots, 0.3), flat, flat)
+    env = environment(drift_m2_per_s=[1.0, 4.0, 9.0], queue_sigma=0.5)
+    draws = jax.tree.map(np.asarray, jax.jit(draw, static_argnames="actions")(jax.random.key(3), route, env, ACTIONS))
+    up = draws.increment
+    for c, rate in enumerate((1.0, 4.0, 9.0)):
+        rows = context == c
+        np.testing.assert_allclose((up.cov_xx_m2 + up.cov_yy_m2)[rows], rate * 0.5, rtol=1e-5)
+        assert (up.error_x_m**2 + up.error_y_m**2)[rows].mean() == pytest.approx(rate * 0.5, rel=0.06)
+    assert draws.rate_bps.mean() == pytest.approx(8 * 8192, rel=0.02) and draws.rate_bps.std() > 0
+    # Client and edge: the report is one slot old; 20 ms median wait, service about 16 ms, 5 ms to return.
+    service = np.array([1.2 + 0.4 * views for views in (1, 1, 3, 3, 4, 4, 5, 5)]) + 3.1 + 5.2 + 4.0
+    waits = draws.delay_s - (service + 2.2 + 5.0) / 1e3
+    np.testing.assert_allclose(waits, np.broadcast_to(waits[:, :1], waits.shape), atol=1e-6)
+    assert waits[0, 0] == pytest.approx(0.020, rel=1e-3)
+    logs = np.log(waits[1:, 0] / 0.020)
+    assert logs.std() == pytest.approx(0.5, rel=0.1) and abs(logs.mean()) < 0.1
+    assert np.corrcoef(logs[1:], logs[:-1])[0, 1] == pytest.approx(0.9, abs=0.02)
+    encode = np.where(np.arange(8) % 2 == 0, 31.7, 32.3)
+    jitter = draws.latency_s[:-1] * 1e3 - waits[1:, :1] * 1e3 - service - encode - 5.0
+    np.testing.assert_allclose(np.median(jitter, axis=0), 2.2, rtol=0.05)
+    np.testing.assert_allclose(np.log(jitter).std(axis=0), 0.5, rtol=0.05)
+    assert np.array_equal(np.sort(draws.rank), np.arange(slots)) and 0 <= draws.phase_s < 1
+
+
+@settings(max_examples=50)
+@given(st.tuples(*[st.floats(0.01, 1.0)] * 3))
+def test_drift_spends_the_papers_budget(weights):
+    share = np.array(weights) / sum(weights)
+    rates = np.asarray(drift_from_paper(share), np.float64)
+    # 22 requests, each from 36 to 9 m^2, over 593 slots of half a second.
+    assert rates @ share * 593 * 0.5 == pytest.approx(22 * (36 - 9), rel=1e-5)
+    np.testing.assert_allclose(rates / rates[0], np.array([0.5, 5.7, 14.0]) / 0.5, rtol=1e-5)
+    scaled = make_environment(share, drift_scale=2.0).drift_m2_per_s
+    np.testing.assert_allclose(scaled, 2 * rates, rtol=1e-5)

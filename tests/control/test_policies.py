@@ -1,0 +1,134 @@
+"""One signature for every policy, the choice among actions, and the slots planned ahead."""
+
+import inspect
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ovibjax.control import policies
+from ovibjax.control.actions import ACTIONS
+from ovibjax.control.policies import POLICIES, Observation
+from tests.control.cases import controller
+from tests.oracles import control as oracle
+
+
+def seen(
+    risk=9.0, predicted=2.0, realised=1.0, rate=65_536.0, since=100.0, waiting=False, scheduled=True, allowed=True
+):
+    def per_action(value):
+        return jnp.broadcast_to(jnp.asarray(value, jnp.float32), (8,))
+
+    return Observation(
+        risk_m=jnp.float32(risk),
+        predicted_m=per_action(predicted),
+        realised_m=per_action(realised),
+        rate_bps=jnp.float32(rate),
+        delay_s=per_action(0.05),
+        since_s=jnp.float32(since),
+        waiting=jnp.asarray(waiting),
+        scheduled=jnp.asarray(scheduled),
+        allowed=tuple(jnp.asarray(a) for a in np.broadcast_to(allowed, 8)),
+    )
+
+
+FREE = {"prices": {"bandwidth_m_per_s": 0.0, "delay_m_per_s": 0.0}, "threshold_m": 0.0}
+
+
+def ask(policy, control=None, **changes):
+    decision = POLICIES[policy](seen(**changes), control or controller(), ACTIONS)
+    return (bool(decision.send), ACTIONS.names[int(decision.action)])
+
+
+def test_the_papers_seven_policies_have_one_signature():
+    assert tuple(POLICIES) == (
+        *("voi", "periodic", "budgeted_periodic", "fixed_front", "random", "uncertainty", "oracle_action"),
+    )
+    signatures = {str(inspect.signature(policy)) for policy in POLICIES.values()}
+    assert len(signatures) == 1
+    for policy in POLICIES.values():
+        decision = policy(seen(), controller(), ACTIONS)
+        assert (decision.send.shape, decision.send.dtype) == ((), bool)
+        assert (decision.action.shape, decision.action.dtype) == ((), jnp.int32)
+
+
+def test_equal_values_go_to_the_first_action():
+    free = controller(**FREE)
+    assert ask("voi", free) == (True, "F-C")
+    assert ask("voi", free, allowed=[False, False, True, True, True, False, False, True]) == (True, "FS-C")
+    assert ask("voi", free, predicted=[5, 5, 5, 2, 5, 2, 2, 5]) == (True, "FS-R")
+    # Priced, the smaller of two equally good payloads wins: FS-R is 160, H4-C 100 and A5-C 104 bytes.
+    assert ask("voi", predicted=[5, 5, 5, 2, 2, 5, 2, 5]) == (True, "H4-C")
+
+
+def test_voi_control_asks_for_a_positive_value_above_its_threshold_only():
+    free = controller(**FREE)
+    assert not ask("voi", free, risk=2.0)[0]  # no gain at all
+    assert ask("voi", free, risk=2.001)[0]
+    assert not ask("voi", controller(**(FREE | {"threshold_m": -5.0})), risk=2.0)[0]  # never at a loss
+    assert not ask("voi", controller(**(FREE | {"threshold_m": 7.0})))[0]
+    assert ask("voi", controller(**(FREE | {"threshold_m": 6.99})))[0]
+    assert not ask("voi", free, waiting=True)[0]
+    assert not ask("voi", free, allowed=False)[0]
+    assert not ask("voi", free, rate=0.0)[0]
+    assert [ask("voi", controller(**FREE, min_gap_s=2.0), since=s)[0] for s in (1.5, 2.0)] == [False, True]
+
+
+def test_fixed_rules():
+    assert ask("fixed_front", risk=8.01, since=1.0) == (True, "F-C")
+    assert ask("uncertainty", risk=6.01, since=6.0) == (True, "FS-C")
+    assert ask("periodic", risk=0.0) == (True, "FS-C")
+    quiet = ({"risk": 8.0}, {"since": 0.5}, {"waiting": True}, {"allowed": False})
+    assert not any(ask("fixed_front", **{"risk": 9.0, "since": 9.0, **change})[0] for change in quiet)
+    quiet = ({"risk": 6.0}, {"since": 5.5}, {"waiting": True}, {"allowed": False})
+    assert not any(ask("uncertainty", **{"risk": 9.0, "since": 9.0, **change})[0] for change in quiet)
+    for policy in ("periodic", "budgeted_periodic", "random", "oracle_action"):
+        assert ask(policy)[0] and not ask(policy, scheduled=False)[0] and not ask(policy, allowed=False)[0]
+
+
+def test_the_bound_takes_the_lowest_realised_residual_after_penalties():
+    assert ask("oracle_action", realised=[5, 5, 5, 5, 5, 5, 5, 4]) == (True, "A5-R")
+    # 72 bytes more at 1 KB/s and a price of 100 m/s are 7 m: the smaller request wins despite its residual.
+    dear = controller(prices={"bandwidth_m_per_s": 100.0})
+    assert ask("oracle_action", dear, realised=[5, 5, 5, 5, 5, 5, 5, 4], rate=8192.0) == (True, "F-C")
+    # The order is the same where no residual is below the risk.
+    assert ask("oracle_action", risk=1.0, realised=[5, 5, 5, 5, 5, 5, 5, 4]) == (True, "A5-R")
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from([-np.inf, -1.0, 0.0, 2.0]), st.booleans()), min_size=1, max_size=6))
+def test_highest(items):
+    values, allowed = zip(*items, strict=True)
+    index, value = policies.highest([jnp.float32(v) for v in values], [jnp.asarray(a) for a in allowed])
+    want = oracle.best(values, allowed)
+    assert float(value) == (-np.inf if want is None else values[want])
+    if want is not None:
+        assert int(index) == want
+        assert float(policies.chosen([jnp.float32(v) for v in values], index)) == values[want]
+
+
+schedule = jax.jit(policies.schedule, static_argnames="policy")
+
+
+@pytest.mark.parametrize("slots", [1, 2, 60, 61])
+def test_planned_slots_equal_the_oracle(slots):
+    rng = np.random.default_rng(slots)
+    control = controller(rules={"period_s": 2.0})
+    for count in range(slots + 1):
+        asked = np.sort(rng.permutation(slots)[:count])
+        sent = np.zeros(slots, bool)
+        sent[asked] = True
+        rank = rng.permutation(slots).astype(np.int32)
+        phase = np.float32(rng.random())
+        for policy in POLICIES:
+            found = np.flatnonzero(schedule(policy, jnp.float32(0.5), rank, phase, control, sent))
+            want = oracle.planned_slots(policy, slots, 0.5, 2.0, phase, rank, asked.tolist())
+            assert found.tolist() == sorted(want), (policy, count)
+            if policy in policies.FOLLOW_VOI:
+                assert len(found) == count
+            if policy == "budgeted_periodic" and count > 1:
+                gaps = np.diff(found)
+                assert gaps.max() - gaps.min() <= 1

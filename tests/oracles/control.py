@@ -1,0 +1,192 @@
+"""Route replay in float64 NumPy: one slot after another, covariances as 2x2 matrices, one request object under way.
+
+The world's draws (drift, rate, delays) come in as arrays; what the controller makes of them is written out here.
+"""
+
+import math
+
+import numpy as np
+
+VIEWS = {"F": 1, "FS": 3, "H4": 4, "A5": 5}
+FOLLOW_VOI = ("budgeted_periodic", "random", "oracle_action")
+
+
+def action_list(modes=("F", "FS", "H4", "A5"), prefixes=(16, 32)):
+    """(mode, prefix, bytes) of each action: 4 k + 20-byte header + 4 per view."""
+    return [(mode, k, 4 * k + 20 + 4 * VIEWS[mode]) for mode in modes for k in prefixes]
+
+
+def drift(variance, along_share, yaw, normal):
+    """Error and covariance of one slot of odometry, in the frame of travel, turned by the heading."""
+    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    local = np.diag([variance * along_share, variance * (1 - along_share)])
+    return turn @ (np.sqrt(np.diag(local)) * normal), turn @ local @ turn.T
+
+
+def kalman(error, cov, residual, predicted, gate):
+    """Textbook update with a position measurement; errors are estimate minus truth.
+
+    A predicted residual of zero counts as a measurement within a millimetre.
+    """
+    noise = (0.5 * predicted**2 + 1e-6) * np.eye(2)
+    innovation = residual - error
+    total = cov + noise
+    if innovation @ np.linalg.solve(total, innovation) > gate**2:
+        return error, cov, False
+    gain = cov @ np.linalg.inv(total)
+    return error + gain @ innovation, (np.eye(2) - gain) @ cov, True
+
+
+def net_voi(risk, residual, size, rate, delay, energy, prices):
+    """Predicted reduction of risk, less what it costs; nothing can be sent over a dead link."""
+    if rate <= 0:
+        return -math.inf
+    price_b, price_e, price_d = prices
+    return max(risk - residual, 0.0) - price_b * 8 * size / rate - price_e * energy - price_d * delay
+
+
+def best(values, allowed):
+    """First of the highest values among those allowed; None if there are none."""
+    usable = [a for a in range(len(values)) if allowed[a] and values[a] > -math.inf]
+    return max(usable, key=lambda a: (values[a], -a)) if usable else None
+
+
+def planned_slots(policy, slots, slot_s, period_s, phase, rank, voi_slots):
+    """Set of the slots that a policy has planned ahead."""
+    count = len(voi_slots)
+    if policy == "periodic":
+        period = max(round(period_s / slot_s), 1)
+        return set(range(period - 1 - math.floor(phase * period), slots, period))
+    if policy == "budgeted_periodic":  # the slot that holds the middle of each of `count` equal parts
+        return {math.ceil((2 * j + 1) * slots / (2 * count)) - 1 for j in range(count)}
+    if policy == "random":
+        return {t for t in range(slots) if rank[t] < count}
+    return set(voi_slots) if policy == "oracle_action" else set()
+
+
+def decide(policy, t, seen, control, actions):
+    """Action that a policy asks with in this slot, or None."""
+    risk, waiting, since, allowed = seen["risk"], seen["waiting"], seen["since"], seen["allowed"]
+    compact = {mode: a for a, (mode, _, _) in reversed(list(enumerate(actions)))}
+    values = [
+        net_voi(
+            risk, seen["predicted"][a], size, seen["rate"], seen["delay"][a], control["energy"][a], control["prices"]
+        )
+        for a, (_, _, size) in enumerate(actions)
+    ]
+    if policy == "voi":
+        action = best(values, allowed)
+        if action is None or waiting or since < control["gap"] - 1e-6:
+            return None
+        return action if values[action] > max(control["threshold"], 0.0) else None
+    if policy == "oracle_action":
+        costs = [max(risk - seen["predicted"][a], 0.0) - value for a, value in enumerate(values)]
+        return best([-seen["realised"][a] - cost for a, cost in enumerate(costs)], allowed) if seen["due"] else None
+    action = compact["F" if policy == "fixed_front" else "FS"]
+    if policy in ("fixed_front", "uncertainty"):
+        level, gap = control[policy]
+        due = risk > level and since >= gap - 1e-6 and not waiting
+    else:
+        due = seen["due"]
+    return action if due and allowed[action] else None
+
+
+def follow(policy, draws, route, env, control, actions, due):
+    """Replay one policy whose planned slots are the set `due`; a dict of per-slot lists."""
+    error, cov = np.array(draws["start_error"]), np.array(draws["start_cov"])
+    coming, arrives, last = None, None, None
+    sent_bytes, used = 0.0, 0.0
+    out = {name: [] for name in ("sent", "action", "payload", "error", "risk_before", "risk", "latency", "voi")}
+    out |= {"accepted": [], "lost": [], "superseded": [], "flight": []}
+    for t in range(len(draws["rate"])):
+        error, cov = error + draws["drift_error"][t], cov + draws["drift_cov"][t]
+        if coming is not None:
+            coming = coming[0] + draws["drift_error"][t], coming[1] + draws["drift_cov"][t]
+            if arrives == t:
+                (error, cov), coming = coming, None
+        fits = [
+            control["available"][a]
+            and used + control["energy"][a] <= control["energy_budget"]
+            and (policy == "oracle_action" or sent_bytes + size <= control["budget"])
+            for a, (_, _, size) in enumerate(actions)
+        ]
+        risk = math.sqrt(np.trace(cov))
+        seen = {
+            "risk": risk,
+            "waiting": coming is not None,
+            "since": math.inf if last is None else (t - last) * env["slot_s"],
+            "allowed": fits,
+            "predicted": route["predicted"][t],
+            "realised": np.linalg.norm(route["residual"][t], axis=-1),
+            "rate": draws["rate"][t],
+            "delay": draws["delay"][t],
+            "due": t in due,
+        }
+        action = decide(policy, t, seen, control, actions)
+        out["sent"].append(action is not None)
+        out["risk_before"].append(risk)
+        if action is None:
+            for name in ("action", "payload", "latency", "voi", "flight"):
+                out[name].append(0.0)
+            for name in ("accepted", "lost", "superseded"):
+                out[name].append(False)
+        else:
+            size, rate = actions[action][2], draws["rate"][t]
+            latency = draws["latency"][t][action] + (8 * size / rate if rate > 0 else math.inf)
+            lost = latency > env["timeout_s"]
+            predicted, measured = route["predicted"][t][action], route["residual"][t][action]
+            new_error, new_cov, accepted = kalman(error, cov, measured, predicted, control["gate"])
+            if lost:
+                new_error, new_cov = error, cov
+            flight = math.floor(min(latency, env["timeout_s"]) / env["slot_s"])
+            out["superseded"].append(coming is not None)
+            coming, arrives, last = (new_error, new_cov), t + flight, t
+            if flight == 0:
+                (error, cov), coming = coming, None
+            sent_bytes, used = sent_bytes + size, used + control["energy"][action]
+            voi = net_voi(
+                risk, predicted, size, rate, draws["delay"][t][action], control["energy"][action], control["prices"]
+            )
+            values = {"action": action, "payload": size, "latency": latency, "voi": voi, "flight": flight}
+            for name, value in (values | {"accepted": accepted, "lost": lost}).items():
+                out[name].append(value)
+        out["error"].append(float(np.linalg.norm(error)))
+        out["risk"].append(math.sqrt(np.trace(cov)))
+    return {name: np.array(values) for name, values in out.items()}
+
+
+def replay(policy, draws, route, env, control, actions):
+    """Replay any of the seven policies; those that follow VOI-Control replay it first."""
+    asked = []
+    if policy in FOLLOW_VOI:
+        asked = np.flatnonzero(follow("voi", draws, route, env, control, actions, set())["sent"]).tolist()
+    slots = len(draws["rate"])
+    due = planned_slots(policy, slots, env["slot_s"], control["period"], draws["phase"], draws["rank"], asked)
+    return follow(policy, draws, route, env, control, actions, due)
+
+
+def most_similar_other(query, reference, own):
+    """Row of the most similar reference of each query, skipping row `own`; the first of equals."""
+    found = []
+    for q, skip in zip(np.asarray(query, np.float64), own, strict=True):
+        scores = {}
+        for row, r in enumerate(np.asarray(reference, np.float64)):
+            if row != skip:
+                length = np.linalg.norm(r)
+                scores[row] = q @ r / length if length > 0 else 0.0
+        found.append(max(scores, key=lambda row: (scores[row], -row)))
+    return np.array(found)
+
+
+def survey(positions, drive, spacing):
+    """Frames kept when one is kept per `spacing` metres travelled within each drive."""
+    kept = []
+    for d in dict.fromkeys(drive):
+        rows = [i for i in range(len(drive)) if drive[i] == d]
+        travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions[rows], axis=0), axis=1))])
+        mark = -math.inf
+        for row, way in zip(rows, travelled, strict=True):
+            if way - mark >= spacing:
+                kept.append(row)
+                mark = way
+    return kept
