@@ -364,14 +364,17 @@ def _service(size: int, offset: jax.Array, tick_ms: jax.Array) -> Callable[..., 
 
 
 def _admit(state: _State, source: jax.Array) -> _State:
-    """Append every request that has arrived in some lane; drop those that all lanes have served."""
+    """Append every request that has arrived in some lane; drop those that all lanes have served.
+
+    A size beyond `SLOTS` says that the list is full.
+    """
     now = jnp.max(state.clock)
     needed = jax.lax.reduce(state.unserved, jnp.int32(0), jax.lax.bitwise_or, (0,))
     slot = jnp.arange(SLOTS, dtype=jnp.int32)
 
     def cond(carry: _Admission) -> jax.Array:
         size, upcoming, needed = carry[2]
-        return (source[upcoming, 0] <= now) | (_first_gap(needed) < size)
+        return ((source[upcoming, 0] <= now) | (_first_gap(needed) < size)) & (size <= SLOTS)
 
     def body(carry: _Admission) -> _Admission:
         unserved, table, (size, upcoming, needed) = carry
