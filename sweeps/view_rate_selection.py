@@ -93,16 +93,17 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
             )
         )
     spans = {f: [_span(at_requests(found, c, f)) for c in range(len(PAPER_SHARE))] for f in ("risk_before_m", "risk_m")}
-    before, after = ([span.mean for span in spans[f] if np.isfinite(span.mean)] for f in ("risk_before_m", "risk_m"))
-    inside = all(6 <= v <= 9 for v in before) and all(2 <= v <= 4 for v in after)
+    before, after = spans["risk_before_m"], spans["risk_m"]
+    # A context without requests has no interval and is not inside.
+    inside = [low <= s.low and s.high <= high for part, low, high in ((before, 6, 9), (after, 2, 4)) for s in part]
     claims.append(
         Claim(
             "Requests bring the local risk from 6 to 9 m down to 2 to 4 m in every context",
             "6 to 9 m, 2 to 4 m",
-            f"before {', '.join(f'{v:.1f}' for v in before)} m; after {', '.join(f'{v:.1f}' for v in after)} m "
+            f"before {', '.join(s.text('m', 1) for s in before)}; after {', '.join(s.text('m', 1) for s in after)} "
             f"({', '.join(found.scene.contexts[:3])})",
-            HELD if inside else NOT_HELD,
-            "mean of every context within the paper's ranges",
+            HELD if all(inside) else NOT_HELD,
+            "whole 95 % interval of the median of every context within the paper's ranges",
         )
     )
     step = len(found.scene.actions.prefixes)

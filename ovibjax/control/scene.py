@@ -26,7 +26,7 @@ from ovibjax.features.frames import CONTEXTS, FeatureSet
 from ovibjax.features.town import TownConfig
 
 TOWN = TownConfig(seed=2, size_m=180.0)
-DRIVES, TRAINING_DRIVES = 6, 3
+DRIVES = 6
 SURVEY_M = 9.0
 """Spacing of the edge's references. Leaving out only the frame itself would leave its neighbours, 1.5 m away, and every
 residual would be their distance; a survey every 9 m leaves the 2 to 4 m that the paper reports after a request."""

@@ -21,8 +21,6 @@ from ovibjax.control.scene import Scene
 from ovibjax.control.voi import Prices
 from ovibjax.control.world import Draws, Environment, Route, draw, make_environment
 
-TUNING_SEEDS = 16
-
 SHOWN = ("voi", "budgeted_periodic")
 """Policies whose slots are kept: those that figures draw over time, and whose requests are scheduled."""
 
@@ -37,9 +35,9 @@ class StudySize:
         held_out_seeds: seeds they are judged on.
     """
 
-    candidates: int = 256
-    tuning_seeds: int = TUNING_SEEDS
-    held_out_seeds: int = 60
+    candidates: int
+    tuning_seeds: int
+    held_out_seeds: int
 
 
 class Setting(NamedTuple):

@@ -10,6 +10,7 @@ import numpy as np
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.replay import RouteResult
 from ovibjax.control.world import SLOT_S
+from ovibjax.errors import InputError
 from ovibjax.scheduling.lanes import run_grid
 from ovibjax.scheduling.priority import POLICIES, SchedulerParams
 from ovibjax.scheduling.traces import Events, ReplayMetrics, TraceParams, Workload, make_trace, metrics
@@ -19,7 +20,7 @@ LEVELS = {"low": (10, 12.0), "medium": (20, 8.0), "high": (30, 4.0)}
 
 PHASE_SPREAD_S = 0.54
 """Clients start the route uniformly within this time. The paper does not give it; at this value the edge p95 of FIFO at
-high congestion lies at the paper's 93 ms, and the other policies fall as they fall."""
+high congestion lies near the paper's 93 ms, and the other policies fall as they fall."""
 
 
 class Case(NamedTuple):
@@ -49,8 +50,13 @@ def recorded_events(run: RouteResult, context: np.ndarray, drift_m2_per_s: np.nd
 
     Returns:
         Events in the order of time.
+
+    Raises:
+        InputError: the replay holds no request.
     """
     slots = np.flatnonzero(run.sent)
+    if not len(slots):
+        raise InputError("VOI-Control sent no request on the held-out route, so there is nothing to schedule")
     action = np.asarray(run.action)[slots]
     risk_m = np.asarray(run.risk_before_m)[slots]
     return Events(

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from ovibjax.control import belief
 from ovibjax.control.actions import ACTIONS, ActionSet
 from ovibjax.control.replay import Params, Slot, SlotInfo, State, decide, observe, respond, slots_of, start
-from ovibjax.control.world import Draws, Route
+from ovibjax.control.world import SLOT_S, Draws, Route
 from ovibjax.edge.service import draw_ms, estimate_ms
 from ovibjax.link.latency import JETSON, compute_ms_at, transmit_s
 from ovibjax.scheduling.priority import RULES, Queue, SchedulerParams
@@ -112,25 +112,23 @@ def run(
     none = jnp.zeros((n, length), bool)
     slots = jax.vmap(slots_of)(routes, draws, none)
     slots = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), slots)
-    drift = params.env.drift_m2_per_s[routes.context]  # [N, T]
-    # The growth of sqrt(tr P) is what the shaped rule calls the drift rate; here at the initial risk.
-    rate = jnp.moveaxis(drift / (2.0 * params.env.initial_risk_m), 0, 1)
+    growth = jnp.moveaxis(params.env.drift_m2_per_s[routes.context], 0, 1)
     keys = jax.vmap(lambda t: jax.random.fold_in(key, t))(jnp.arange(length))
     zero, idle = jnp.zeros(n, jnp.float32), jnp.zeros(n, bool)
     pool = Pool(idle, *([zero] * 8))
     begin = (jax.vmap(start)(draws), pool, jnp.float32(0.0))
 
     def step(carry: tuple[State, Pool, jax.Array], inputs: tuple[Slot, jax.Array, jax.Array]) -> Any:
-        slot, rates, slot_key = inputs
-        return _slot(carry, slot, rates, slot_key, mission, policy, params, scheduler, scheduler_params, actions)
+        slot, growth, slot_key = inputs
+        return _slot(carry, slot, growth, slot_key, mission, policy, params, scheduler, scheduler_params, actions)
 
-    return jax.lax.scan(step, begin, (slots, rate, keys))[1]
+    return jax.lax.scan(step, begin, (slots, growth, keys))[1]
 
 
 def _slot(
     carry: tuple[State, Pool, jax.Array],
     slot: Slot,
-    drift_m_per_s: jax.Array,
+    growth_m2_per_s: jax.Array,
     key: jax.Array,
     mission: Mission,
     policy: str,
@@ -169,7 +167,7 @@ def _slot(
         voi_m=info.voi_m,
         risk_m=info.risk_before_m,
         delay_est_ms=1000.0 * info.delay_s,
-        drift_m_per_s=drift_m_per_s,
+        drift_m_per_s=growth_m2_per_s / (2.0 * info.risk_before_m),  # d sqrt(tr P) / dt, as in recorded requests
     )
     pool = jax.tree.map(lambda new, old: jnp.where(info.sent, new, old), fresh, pool)
     slot_ms = 1000.0 * env.slot_s
@@ -193,8 +191,8 @@ def _serve(
 ) -> tuple[jax.Array, Pool, jax.Array]:
     """Serve what begins within the slot; returns ends of service [N], NaN where there was none."""
     n = pool.waiting.shape[0]
-    # A longer slot than this bound allows decisions for would serve less than it could; the paper's has 500 ms.
-    decisions = min(n, int(500.0 / _FASTEST_SERVICE_MS))
+    # No more services begin in a slot of the paper's length; a longer one would serve less than it could.
+    decisions = min(n, int(1000.0 * SLOT_S / _FASTEST_SERVICE_MS))
 
     def serve(carry: Any, _: None) -> Any:
         waiting, finish_ms, free_ms = carry

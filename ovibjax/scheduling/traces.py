@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ovibjax.control.world import PAPER_SLOTS, PAPER_UPLOAD_SHARE, SLOT_S
 from ovibjax.edge.service import EDGE, ServiceProfile, draw_ms, estimate_ms
 from ovibjax.link.channel import fading_power, profile_rate_bps
 from ovibjax.link.latency import transmit_s
@@ -19,13 +20,7 @@ from ovibjax.scheduling.priority import SchedulerParams, scheduling_value
 from ovibjax.scheduling.requests import RequestTrace
 from ovibjax.views import MODES
 
-SLOT_S = 0.5
-"""Length of a control slot."""
-ROUTE_SLOTS = 593
-"""Slots of the paper's held-out route."""
-
 _CONTEXTS = 3  # corridor, intersection, repetitive
-_UPLOAD_SHARE = (0.005, 0.057, 0.140)
 _CONTEXT_SHARE = (0.6, 0.25, 0.15)
 _STRETCH_SLOTS = 20
 _PREFIX = 16
@@ -137,18 +132,18 @@ def synthetic_events(key: jax.Array, n: int = 22) -> Events:
 
     Args:
         key: random key.
-        n: events, at most `ROUTE_SLOTS`.
+        n: events, at most `PAPER_SLOTS`.
 
     Returns:
         Events in the order of time, at most one per slot, all valid.
     """
     context_key, slot_key, mode_key, voi_key, risk_key, drift_key, delay_key = jax.random.split(key, 7)
     shares = jnp.log(jnp.array(_CONTEXT_SHARE, jnp.float32))
-    stretches = jax.random.categorical(context_key, shares, shape=(-(-ROUTE_SLOTS // _STRETCH_SLOTS),))
-    context = jnp.repeat(stretches, _STRETCH_SLOTS)[:ROUTE_SLOTS].astype(jnp.int32)
+    stretches = jax.random.categorical(context_key, shares, shape=(-(-PAPER_SLOTS // _STRETCH_SLOTS),))
+    context = jnp.repeat(stretches, _STRETCH_SLOTS)[:PAPER_SLOTS].astype(jnp.int32)
     # The largest of weights plus Gumbel noise: slots drawn without replacement.
-    weights = jnp.log(jnp.array(_UPLOAD_SHARE, jnp.float32))[context]
-    slots = jnp.sort(jax.lax.top_k(weights + jax.random.gumbel(slot_key, (ROUTE_SLOTS,)), n)[1])
+    weights = jnp.log(jnp.array(PAPER_UPLOAD_SHARE, jnp.float32))[context]
+    slots = jnp.sort(jax.lax.top_k(weights + jax.random.gumbel(slot_key, (PAPER_SLOTS,)), n)[1])
     hard = context[slots].astype(jnp.float32) / (_CONTEXTS - 1)
 
     def between(key: jax.Array, low: float, high: float, pull: float) -> jax.Array:
