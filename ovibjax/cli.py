@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from ovibjax.cache import keep_compiled_programs
 from ovibjax.cli_replay import Replay
 from ovibjax.cli_sweep import Show, SweepTrain
 from ovibjax.errors import InputError
@@ -132,6 +133,8 @@ def check_options(arguments: Sequence[str]) -> None:
 def main() -> None:
     """Entry point of the console script; bad input is one line and exit code 2."""
     try:
+        if "jax" not in sys.modules:
+            keep_compiled_programs()
         check_options(sys.argv[1:])
         command: Command = tyro.cli(
             Command,

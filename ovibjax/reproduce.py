@@ -14,8 +14,9 @@ from typing import Any
 import xarray
 
 import ovibjax
+from ovibjax.cache import cache_folder
 from ovibjax.errors import InputError
-from ovibjax.features.embedded import PAPER_FRAMES, cache_folder, town_features
+from ovibjax.features.embedded import PAPER_FRAMES, town_features
 from ovibjax.features.frames import FeatureSet, load, require_frames
 from ovibjax.features.town import TownConfig
 from ovibjax.progress import console, progress_bar

@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
+from ovibjax.cli import main
 from ovibjax.features.frames import make_feature_set, save
 
 
@@ -42,7 +44,9 @@ def test_own_frames_on_a_measured_link(tmp_path: Path) -> None:
         assert picture.width >= 1000
 
 
-def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+def test_bad_input_is_one_line_and_exit_code_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "back.txt").write_text("0 1\n1 1\n0.5 1\n")
     cases = {
         ("--policy", "vio"): "did you mean voi",
@@ -55,8 +59,12 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
         ("--plot", "--out", "absent/x.png"): "absent",
         ("--polcy", "voi"): "did you mean --policy",
     }
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OVIBJAX_CACHE", str(tmp_path / "cache"))
     for arguments, words in cases.items():
-        done = ovibjax(*arguments, cwd=tmp_path)
-        assert done.returncode == 2, (arguments, done.stderr)
-        assert words in done.stderr and "Traceback" not in done.stderr, (arguments, done.stderr)
-        assert len(done.stderr.strip().splitlines()) == 1, (arguments, done.stderr)
+        monkeypatch.setattr(sys, "argv", ["ovibjax", "replay", *arguments])
+        with pytest.raises(SystemExit) as left:
+            main()
+        assert left.value.code == 2
+        said = capsys.readouterr().err
+        assert words in said and len(said.strip().splitlines()) == 1, (arguments, said)

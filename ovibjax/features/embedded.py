@@ -1,17 +1,15 @@
 """The default data: a drive through the embedded town, rendered and embedded once, then read from the cache."""
 
 import hashlib
-import os
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib import resources
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import platformdirs
 
+from ovibjax.cache import cache_folder
 from ovibjax.errors import InputError
 from ovibjax.features.backbone import (
     EMBEDDED_DIM,
@@ -33,11 +31,6 @@ _CHUNK = 32  # frames per call: large enough to fill the vector units, small eno
 _SOURCES = ("town.py", "route.py", "render.py", "shading.py", "backbone.py", "embedded.py")
 
 OnFrames = Callable[[int, int], None]
-
-
-def cache_folder() -> Path:
-    """Where derived data is kept: `OVIBJAX_CACHE`, or the user's cache folder."""
-    return Path(os.environ.get("OVIBJAX_CACHE") or platformdirs.user_cache_dir("ovibjax"))
 
 
 def cache_key(config: TownConfig, n_frames: int, route_seed: int) -> str:

@@ -1,6 +1,21 @@
 """Replaying request traces under many scheduler settings: one `run_grid` against a Numba event loop and SimPy.
 
-python tests/benchmarks/scheduler.py              (extra [bench]; a quiet machine; about three minutes)
+python tests/benchmarks/scheduler.py              (extra [bench]; a quiet machine; about one minute)
+
+8 traces of 660 requests x 1,024 settings on 2 virtual cores with AVX2 (AMD EPYC), Python 3.11, jax 0.10.2, numba 0.68,
+nothing else running; million decisions a second:
+
+    high congestion    voi_lyapunov    ovibjax 100.2    Numba  73.1    ratio 1.37
+                       base_dpp        ovibjax 141.8    Numba 108.2    ratio 1.31
+    overload           voi_lyapunov    ovibjax  87.0    Numba  39.7    ratio 2.19
+                       base_dpp        ovibjax 123.1    Numba  98.3    ratio 1.25
+    SimPy              voi_lyapunov    0.024
+    ratio_simpy: 4114
+    ratio: 1.37
+
+The goal of 1,000 against SimPy is met. That of 2 against Numba is met only where queues are long: an idle server's
+next request costs a scalar loop almost nothing, and lanes that hold one request each cannot skip the comparison.
+FIFO has no settings, so it is replayed once per trace: 8 replays are too few lanes to fill a core (0.01 of Numba).
 """
 
 import argparse

@@ -1,0 +1,105 @@
+"""From a recorded control replay to the congestion table's numbers."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ovibjax.control.actions import ACTIONS
+from ovibjax.errors import InputError
+from ovibjax.scheduling.congestion import Case, compare, recorded_events, search, workloads
+from ovibjax.scheduling.priority import default_params
+from ovibjax.scheduling.replay import waits
+from ovibjax.scheduling.traces import default_trace_params, make_trace, metrics, synthetic_events
+
+SEEDS, N_MAX = 3, 6
+
+compiled_trace = jax.jit(make_trace, static_argnames="n_clients")
+compiled_metrics = jax.jit(metrics)
+
+
+@pytest.fixture(scope="module")
+def events():
+    return synthetic_events(jax.random.key(1), 8)
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return Case(jnp.array([2, N_MAX]), jnp.array([12.0, 4.0]), jnp.array([0.3, 0.1]))
+
+
+@pytest.fixture(scope="module")
+def keys():
+    return jax.random.split(jax.random.key(9), SEEDS)
+
+
+def test_recorded_requests_keep_what_the_client_predicted():
+    slots = 10
+    sent = np.zeros(slots, bool)
+    sent[[2, 7]] = True
+    number = np.arange(slots, dtype=np.float32)
+    run = SimpleNamespace(
+        sent=sent,
+        action=np.full(slots, 3),
+        risk_before_m=number + 1.0,
+        voi_m=number / 2,
+        delay_s=number / 100,
+    )
+    context = np.array([0] * 5 + [2] * 5)
+    actions = SimpleNamespace(mode=np.arange(len(ACTIONS)), payload_bytes=100 + np.arange(len(ACTIONS)))
+    events = recorded_events(run, context, np.array([4.0, 9.0, 16.0]), actions)
+    np.testing.assert_array_equal(events.time_s, [1.0, 3.5])
+    np.testing.assert_array_equal(events.mode, [3, 3])
+    np.testing.assert_array_equal(events.payload_bytes, [103, 103])
+    np.testing.assert_allclose(events.voi_m, [1.0, 3.5])
+    np.testing.assert_allclose(events.risk_m, [3.0, 8.0])
+    np.testing.assert_allclose(events.drift_m_per_s, [4.0 / 6.0, 16.0 / 16.0])
+    np.testing.assert_allclose(events.delay_est_ms, [20.0, 70.0])
+    run.sent = np.zeros(slots, bool)
+    with pytest.raises(InputError, match="sent no request"):
+        recorded_events(run, context, np.array([4.0, 9.0, 16.0]), actions)
+
+
+def test_a_case_of_few_clients_is_the_trace_of_those(events, cases, keys):
+    made = jax.jit(workloads, static_argnames="n_max")(keys, events, cases, default_trace_params(), n_max=N_MAX)
+    assert made.uplink_ms.shape == (2, SEEDS, N_MAX * 8)
+    for r, n in enumerate((2, N_MAX)):
+        params = default_trace_params()._replace(phase_spread_s=cases.phase_spread_s[r])
+        alone = compiled_trace(keys[1], events, n, cases.rate_kb_per_s[r], params)
+        valid = np.asarray(made.requests.valid[r, 1])
+        np.testing.assert_array_equal(valid, np.arange(N_MAX * 8) < n * 8)
+        for found, expected in zip(made.requests, alone.requests, strict=True):
+            np.testing.assert_allclose(np.asarray(found)[r, 1][valid], expected, rtol=1e-6)
+
+
+def test_the_table_equals_one_replay_at_a_time(events, cases, keys):
+    params = default_params()
+    swept = params._replace(V=jnp.array([0.0, 8.0]))
+    found = compare(keys, events, cases, default_trace_params(), swept, N_MAX)
+    for r, n in enumerate((2, N_MAX)):
+        case = default_trace_params()._replace(phase_spread_s=cases.phase_spread_s[r])
+        for s in (0, 2):
+            alone = compiled_trace(keys[s], events, n, cases.rate_kb_per_s[r], case)
+            for policy, got in found.items():
+                for p in range(2):
+                    one = params._replace(V=swept.V[p])
+                    expected = compiled_metrics(alone, waits(alone.requests, policy, one), one)
+                    np.testing.assert_allclose(
+                        jax.tree.map(lambda leaf, at=(r, s, p): leaf[at], jax.tree.leaves(got)),
+                        jax.tree.leaves(expected),
+                        rtol=2e-4,  # make_trace rounds float32 times by what it is compiled with
+                    )
+    tried = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (2,)), params)
+    objectives = search(keys, events, cases, default_trace_params(), tried, N_MAX)
+    shaped = found["voi_lyapunov"]
+    expected = (shaped.top.cost, shaped.top.edge_p95_ms, shaped.every.cost, shaped.every.edge_p95_ms)
+    np.testing.assert_allclose(objectives[:, :, 0], np.stack(expected, axis=-1)[:, :, 0], rtol=1e-5)
+
+
+def test_other_numbers_compile_nothing(events, cases, keys):
+    before = compare._cache_size()
+    for V in (5.0, 3.0):
+        compare(keys, events, cases, default_trace_params(), default_params()._replace(V=jnp.array([0.0, V])), N_MAX)
+    assert compare._cache_size() <= before + 1
