@@ -106,11 +106,12 @@ def test_a_second_grid_of_other_values_compiles_nothing():
     )
     try:
         jax.jit(lambda x: x + 1)(jnp.ones(3))
-        assert len(compiled) == 1  # the listener hears
+        heard = len(compiled)
+        assert heard > 0
         second = grid(20)
     finally:
         jax.monitoring.clear_event_listeners()
-    assert len(compiled) == 1 and np.any(first != second)
+    assert len(compiled) == heard and np.any(first != second)
 
 
 def test_lists_of_every_size_are_used():
