@@ -33,7 +33,7 @@ class Backbone:
     embed: Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
-def open_backbone(spec: str, options: BackboneOptions = BackboneOptions()) -> Backbone:  # noqa: B008 (frozen)
+def open_backbone(spec: str, options: BackboneOptions = BackboneOptions()) -> Backbone:
     """Make an image backbone ready to use.
 
     Args:
