@@ -96,7 +96,8 @@ class GzipReader:
                 raise refusal(self._path, f"corrupt gzip file ({error})") from error
             if not part and not chunk and not state.eof:
                 raise refusal(self._path, "truncated gzip file: it ends in the middle; copy it again")
-            at += len(chunk) - len(state.unconsumed_tail) - len(state.unused_data)
+            # At the end of a stream both hold what follows it.
+            at += len(chunk) - len(state.unused_data if state.eof else state.unconsumed_tail)
             parts.append(part)
             missing -= len(part)
         block = b"".join(parts)
