@@ -16,7 +16,7 @@ from ovibjax.features.carla import open_source
 from ovibjax.features.decode import decode_image
 from ovibjax.features.extract import extract
 from ovibjax.features.image_gzip import GzipReader
-from ovibjax.features.render import Camera
+from ovibjax.features.render import Views
 from ovibjax.features.route import context_labels, make_route
 from ovibjax.features.town import TownConfig, make_town
 from ovibjax.views import VIEWS
@@ -26,12 +26,20 @@ CONFIG, N_FRAMES, SEED = TownConfig(), 5, 1
 PATTERN = "images/{view}/{frame}.png"
 
 
+def painted(town, route, frames):
+    """Stands in for the renderer, whose compilation would take longer than all tests here."""
+    rng = np.random.default_rng(0)
+    for frame in frames.tolist():
+        rgb = rng.uniform(size=(5, 24, 32, 3)).astype(np.float32)
+        yield frame, Views(rgb=rgb, depth_m=50 * rgb[..., 0], semantic=np.zeros(rgb.shape[:3], np.int32))
+
+
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
-    """Frames of the embedded town as `ovibjax town` writes them, only smaller."""
+    """Frames of the embedded town, written by what `ovibjax town` writes with."""
     root = tmp_path_factory.mktemp("town") / "town"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(town_files, "FRAME_CAMERA", Camera(height_px=24, width_px=32, max_boxes=64, max_trees=24))
+        patch.setattr(town_files, "_render_frames", painted)
         town_files.write_frames(CONFIG, root, N_FRAMES, SEED)
     return root
 
