@@ -1,4 +1,4 @@
-"""The command line: `ovibjax reproduce`, `sweep`, `show`, `replay` and `town`.
+"""The command line: `ovibjax reproduce`, `sweep`, `show`, `replay`, `features` and `town`.
 
 The only place, with the tests' `conftest.py`, where process-wide settings are made.
 """
@@ -7,13 +7,14 @@ import difflib
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from ovibjax.cache import keep_compiled_programs
+from ovibjax.cli_features import Features
 from ovibjax.cli_replay import Replay
 from ovibjax.cli_sweep import Show, SweepTrain
 from ovibjax.errors import InputError
@@ -97,6 +98,7 @@ Command = (
     | Annotated[SweepTrain, tyro.conf.subcommand("sweep")]
     | Annotated[Show, tyro.conf.subcommand("show")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Features, tyro.conf.subcommand("features")]
     | Annotated[TownCommand, tyro.conf.subcommand("town")]
 )
 
@@ -105,8 +107,21 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("sweep", "train"): SweepTrain,
     ("show",): Show,
     ("replay",): Replay,
+    ("features",): Features,
     ("town",): TownCommand,
 }
+
+
+def _option_names(command: type) -> list[str]:
+    """Options of a command, those of a group it includes among them."""
+    names: list[str] = []
+    for field in fields(command):
+        group: object = field.default
+        if is_dataclass(group) and not isinstance(group, type):
+            names += [part.name for part in fields(group)]
+        else:
+            names.append(field.name)
+    return [name.replace("_", "-") for name in names]
 
 
 def check_options(arguments: Sequence[str]) -> None:
@@ -121,7 +136,7 @@ def check_options(arguments: Sequence[str]) -> None:
     for words, command in _OPTIONS.items():
         if tuple(arguments[: len(words)]) != words:
             continue
-        known = ["help", *(field.name.replace("_", "-") for field in fields(command))]
+        known = ["help", *_option_names(command)]
         for argument in arguments[len(words) :]:
             name = argument[2:].partition("=")[0].replace("_", "-")
             if argument.startswith("--") and name.removeprefix("no-") not in known:

@@ -10,18 +10,19 @@ console = Console(stderr=True)
 
 
 @contextmanager
-def progress_bar(description: str, total: int) -> Iterator[Callable[..., None]]:
+def progress_bar(description: str, total: int, transient: bool = False) -> Iterator[Callable[..., None]]:
     """A bar that appears on its first update.
 
     Args:
         description: what is being done.
         total: steps in all.
+        transient: whether the bar goes away in the end, and leaves the screen to what is said then.
 
     Yields:
         A function that takes the number of finished steps, and the number of all if that was not known before.
     """
     text = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    bar = Progress(*text, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
+    bar = Progress(*text, TimeElapsedColumn(), TimeRemainingColumn(), console=console, transient=transient)
     task = bar.add_task(description, total=total)
     started = False
 

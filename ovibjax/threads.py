@@ -1,6 +1,7 @@
 """Independent work on all cores: XLA keeps one core busy per small program and leaves the rest idle."""
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import TypeVar
@@ -36,3 +37,27 @@ def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
                 yield future.result()
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+
+
+def in_order(function: Callable[[Item], Result], items: Iterable[Item], ahead: int) -> Iterator[Result]:
+    """Results of a function over items, in their order, computed in threads a bounded number of items ahead.
+
+    Args:
+        function: called once per item; should spend its time outside Python's lock (files, decoders).
+        items: any number; taken as they are needed.
+        ahead: results held at most.
+
+    Yields:
+        Results. Leaving the loop waits for what is being computed, and drops the rest.
+    """
+    pool = ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 8))
+    pending: deque[Future[Result]] = deque()
+    try:
+        for item in items:
+            pending.append(pool.submit(function, item))
+            if len(pending) >= ahead:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

@@ -11,14 +11,14 @@ import numpy as np
 
 from ovibjax.cache import cache_folder
 from ovibjax.errors import InputError
-from ovibjax.features.backbone import (
+from ovibjax.features.frames import FeatureSet, load, make_feature_set, save
+from ovibjax.features.pyramid import (
     EMBEDDED_DIM,
     EMBEDDED_HEIGHT_PX,
     EMBEDDED_WIDTH_PX,
     embed,
     embedded_backbone,
 )
-from ovibjax.features.frames import FeatureSet, load, make_feature_set, save
 from ovibjax.features.render import Camera, render
 from ovibjax.features.route import context_labels, make_route
 from ovibjax.features.town import Town, TownConfig, make_town
@@ -28,7 +28,7 @@ PAPER_FRAMES = 4994
 """Frames of the paper's single-scene split."""
 
 _CHUNK = 32  # frames per call: large enough to fill the vector units, small enough for the second-level cache
-_SOURCES = ("town.py", "route.py", "render.py", "shading.py", "backbone.py", "embedded.py")
+_SOURCES = ("town.py", "route.py", "render.py", "shading.py", "pyramid.py", "embedded.py")
 
 OnFrames = Callable[[int, int], None]
 

@@ -15,11 +15,12 @@ CONTEXTS: tuple[str, ...] = ("corridor", "intersection", "repetitive")
 """Scene contexts in label order (paper, Section "VOI-Guided Request and Mode Selection")."""
 MIN_FRAMES = 200
 """Fewest frames worth splitting: 15 percent of them are 30 validation frames."""
+MAX_ID_CHARS = 255
+"""Longest frame name."""
 
 _KIND_NAMES = {"iuf": "real numbers", "iu": "integers", "U": "text", "iuU": "text or integers"}
 _NORM_TOLERANCE = 1e-6  # float32 rounding of a unit vector stays within 1e-7
 _BLOCK_FRAMES = 1024  # bounds the float64 copies made while normalising
-_MAX_ID_CHARS = 255
 _SPLIT_STREAM = 0x5911  # keeps the split's draws apart from other uses of the same seed
 
 
@@ -111,7 +112,7 @@ def validate(feature_set: FeatureSet, source: str = "array") -> FeatureSet:
         raise refusal(source, f"features has dimension {dim}, expected at least 2")
     frame_id = np.array(_field(source, "frame_id", feature_set.frame_id, "U", (n,)).tolist())
     for row, name in enumerate(frame_id.tolist()):
-        if not name or not name.isprintable() or len(name) > _MAX_ID_CHARS:
+        if not name or not name.isprintable() or len(name) > MAX_ID_CHARS:
             raise refusal(source, f"frame_id of frame {row} is empty, too long or not printable text")
     # Values beyond float32 become infinite in the cast and are refused as such.
     with np.errstate(all="ignore"):
