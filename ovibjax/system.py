@@ -163,7 +163,7 @@ def along(
         routes, residual_m = localize(params, codes, masks, k, data, static)
         history = replay_clients(route_key, routes, actions, data, static)
         workload = arrivals(queue_key, history, routes, actions, data, static)
-        summary = jax.tree.map(jnp.mean, summarize(history)._replace(requests=jnp.sum(history.sent, axis=-1) * 1.0))
+        summary = jax.tree.map(lambda leaf: jnp.mean(leaf.astype(jnp.float32)), summarize(history))
         return {
             "mean_route_m": summary.mean_m,
             "p95_route_m": summary.p95_m,
