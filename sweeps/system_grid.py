@@ -90,6 +90,7 @@ def run(job: Job) -> None:
         schedulers=len(POLICIES),
         steps=preset.size.steps,
         unserved=int(found.unserved.sum()),
+        resumed_members=found.attrs["resumed"],
     )
 
 
@@ -157,8 +158,8 @@ def caption(found: xarray.Dataset, preset: Preset, points: int) -> str:
         f"request control per k, the queue per V and rule. {size.clients} clients on held-out routes, each followed by "
         f"a fleet of {size.fleet} that repeats its requests, at {size.kb_per_s:g} KB/s (the paper's high congestion; "
         f"its request control is at {PAPER_PROFILE_KB_PER_S:g} KB/s). (a) Route error and (b) top-decile edge p95 "
-        "against k. (c) Every point, the lowest edge p95 on top; outlined: no other is better in KB, route error and edge "
-        "p95 together. (d) "
+        "against k. (c) Every point, the lowest edge p95 on top; outlined: no other is better in KB, route error and "
+        "edge p95 together. (d) "
         "Variance shares by axis, two-way interactions and the rest. Bands are 95 % intervals over "
         f"{found.sizes['seed']} seeds. V moves Base-DPP only."
     )
