@@ -1,4 +1,4 @@
-"""The command line: `ovibjax reproduce`, `sweep`, `show`, `replay`, `features` and `town`.
+"""The command line: `ovibjax reproduce`, `sweep`, `show`, `best`, `replay`, `features` and `town`.
 
 The only place, with the tests' `conftest.py`, where process-wide settings are made.
 """
@@ -17,6 +17,7 @@ from ovibjax.cache import keep_compiled_programs
 from ovibjax.cli_features import Features
 from ovibjax.cli_replay import Replay
 from ovibjax.cli_sweep import Show, SweepTrain
+from ovibjax.cli_system import Best, SweepSystem
 from ovibjax.errors import InputError
 from ovibjax.progress import console
 
@@ -93,10 +94,26 @@ class TownCommand:
             console.print(f"frames: {self.out}")
 
 
+@dataclass(frozen=True)
+class Sweep:
+    """Compute a grid of members in one compiled program, into a store that survives a kill."""
+
+    what: Annotated[
+        Annotated[SweepTrain, tyro.conf.subcommand("train")] | Annotated[SweepSystem, tyro.conf.subcommand("system")],
+        tyro.conf.arg(name=""),
+    ]
+    """What to do at every point."""
+
+    def run(self) -> None:
+        """Run the command."""
+        self.what.run()
+
+
 Command = (
     Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
-    | Annotated[SweepTrain, tyro.conf.subcommand("sweep")]
+    | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[Best, tyro.conf.subcommand("best")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Features, tyro.conf.subcommand("features")]
     | Annotated[TownCommand, tyro.conf.subcommand("town")]
@@ -105,7 +122,9 @@ Command = (
 _OPTIONS: dict[tuple[str, ...], type] = {
     ("reproduce",): Reproduce,
     ("sweep", "train"): SweepTrain,
+    ("sweep", "system"): SweepSystem,
     ("show",): Show,
+    ("best",): Best,
     ("replay",): Replay,
     ("features",): Features,
     ("town",): TownCommand,

@@ -26,8 +26,6 @@ class SweepTrain:
     Example: ovibjax sweep train --beta 1e-4 1e-3 --gamma 0 0.01 0.1 1 --seed 0:5 --prefix 8 16 35 --out runs/mine.zarr
     """
 
-    what: tyro.conf.Positional[Literal["train"]]
-    """What to do at every point: train and judge an encoder."""
     out: Path
     """The store to write, a folder ending in .zarr; resumed if it holds the same sweep."""
     beta: tuple[str, ...] = ("1e-3",)

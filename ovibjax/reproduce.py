@@ -4,9 +4,10 @@ import importlib.util
 import json
 import shutil
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -59,7 +60,7 @@ class Job:
     rank: int | None
 
     def sweep(self, description: str, fn: Any, axes: Mapping[str, Any], shared: Any, **options: Any) -> xarray.Dataset:
-        """`sweep.run` with a progress bar and a store in the cache folder: an interrupted figure goes on from there.
+        """`sweep.run`, kept as `kept` says.
 
         Args:
             description: what the bar says.
@@ -67,6 +68,21 @@ class Job:
             axes: values per axis.
             shared: data.
             options: further options of `sweep.run`.
+
+        Returns:
+            See `kept`.
+
+        Raises:
+            Interrupted: Ctrl-C; finished members are kept.
+        """
+        return self.kept(description, partial(run, fn, axes, shared, **options))
+
+    def kept(self, description: str, compute: Callable[..., xarray.Dataset]) -> xarray.Dataset:
+        """A sweep with a progress bar and a store in the cache folder: an interrupted figure goes on from there.
+
+        Args:
+            description: what the bar says.
+            compute: the sweep; takes `store` and `on_progress` of `sweep.run`.
 
         Returns:
             The dataset, complete; attribute `resumed` says how many members an earlier, interrupted run had finished.
@@ -87,7 +103,7 @@ class Job:
                 update(done, total)
 
             try:
-                dataset = run(fn, axes, shared, store=store, on_progress=on_progress, **options)
+                dataset = compute(store=store, on_progress=on_progress)
             except SweepInterrupted as error:
                 finished = error.dataset.finished
                 kept = f"{int(finished.sum())} of {finished.size} members are kept"

@@ -4,7 +4,9 @@ Actions are numbered mode by mode, prefixes inside: F-C, F-R, FS-C, FS-R, ... wi
 """
 
 from dataclasses import dataclass
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.link.payload import request_bytes
@@ -52,6 +54,35 @@ class ActionSet:
     def index(self, mode: str, prefix: int) -> int:
         """Number of an action."""
         return self.modes.index(mode) * len(self.prefixes) + self.prefixes.index(prefix)
+
+
+@dataclass(frozen=True, eq=False)
+class SweptActions(ActionSet):
+    """Actions that share one prefix length, which is data of the program instead of a static choice.
+
+    Not hashable by value: for use inside a compiled function, never as its static argument.
+
+    Attributes:
+        k: the prefix length, a traced scalar.
+    """
+
+    prefixes: tuple[int, ...] = (0,)
+    k: Any = 0
+
+    @property
+    def prefix(self) -> Any:
+        """[A] int32 prefix length of each action."""
+        return jnp.broadcast_to(jnp.asarray(self.k, jnp.int32), (len(self.modes),))
+
+    @property
+    def payload_bytes(self) -> Any:
+        """[A] float32 request size b(a) = 4 k + 20 + 4 |S|."""
+        views = jnp.array([len(MODES[mode]) for mode in self.modes], jnp.int32)
+        return request_bytes(self.prefix, views).astype(jnp.float32)
+
+    def index(self, mode: str, prefix: int) -> int:
+        """Number of an action; there is one prefix, whatever it is."""
+        return self.modes.index(mode)
 
 
 ACTIONS = ActionSet()

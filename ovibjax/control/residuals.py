@@ -169,16 +169,45 @@ def _retrieve(
 ) -> jax.Array:
     """[A, N] retrieved rows of the database."""
     masks = jnp.stack([mode_mask(mode, arch.n_views) for mode in actions.modes for _ in actions.prefixes])
-    lengths = jnp.asarray(actions.prefix)
 
     def one(action: tuple[jax.Array, jax.Array]) -> jax.Array:
         view_mask, k = action
-        mask = jnp.repeat(view_mask, arch.view_dim)[None]
-        mu, _ = encode(params, x * mask, arch)
-        descriptor = decode(params, mu * (jnp.arange(arch.latent) < k).astype(jnp.float32)[None], arch) * mask
-        return leave_one_out(descriptor, descriptor[references], own)
+        return retrieve(params, encode_views(params, x, view_mask, arch), view_mask, k, references, own, arch)
 
-    return jax.lax.map(one, (masks, lengths))
+    return jax.lax.map(one, (masks, jnp.asarray(actions.prefix)))
+
+
+def encode_views(params: Params, x: jax.Array, view_mask: jax.Array, arch: Architecture) -> jax.Array:
+    """Latent means [N, K] of frames x [N, M r] of which only the views of a mode [M] are seen."""
+    return encode(params, x * jnp.repeat(view_mask, arch.view_dim)[None], arch)[0]
+
+
+def retrieve(
+    params: Params,
+    mu: jax.Array,
+    view_mask: jax.Array,
+    k: jax.Array,
+    references: jax.Array,
+    own: jax.Array,
+    arch: Architecture,
+) -> jax.Array:
+    """Leave-one-out retrieval of a prefix of every frame against the survey, encoded alike.
+
+    Args:
+        params: network parameters.
+        mu: [N, K] latent means, see `encode_views`.
+        view_mask: [M] views of the mode.
+        k: prefix length.
+        references: [R] rows that are in the database.
+        own: [N] a frame's position in the database, or -1.
+        arch: widths of the network (static).
+
+    Returns:
+        [N] int32 retrieved positions in the database.
+    """
+    prefix = (jnp.arange(arch.latent) < k).astype(jnp.float32)
+    descriptor = decode(params, mu * prefix[None], arch) * jnp.repeat(view_mask, arch.view_dim)[None]
+    return leave_one_out(descriptor, descriptor[references], own)
 
 
 def fit_predictor(residual_m: np.ndarray, context: np.ndarray, n_contexts: int) -> np.ndarray:

@@ -26,6 +26,9 @@ from ovibjax.report.labels import (
     with_unit,
 )
 
+MAX_METRICS = 9
+"""Metrics that a table of all of them sets side by side, those with the fewest trailing points first."""
+
 MAX_COLUMNS = 4
 """Points of trailing dimensions that the table of one metric sets side by side; more become rows."""
 
@@ -48,9 +51,14 @@ def table(dataset: xr.Dataset, metric: str | None = None, over: str = "seed", ma
     names = metrics(dataset) if metric is None else [find(metric, metrics(dataset), "metric")]
     if not names:
         raise InputError("these results hold no number with labelled dimensions; there is nothing to show")
+    captions: list[str] = []
+    if len(names) > MAX_METRICS:
+        ranked = sorted(names, key=lambda name: dataset[name].size)
+        kept = [name for name in names if name in ranked[:MAX_METRICS]]
+        captions.append(f"also: {', '.join(name for name in names if name not in kept)}; see one with --metric NAME")
+        names = kept
     data, along = prepare(dataset, names, over)
     grid = rows = [dim for dim in grid_dims(data) if dim != along]
-    captions = []
     columns: list[tuple[str, np.ndarray, np.ndarray]] = []
     for name in names:
         values = data[name]

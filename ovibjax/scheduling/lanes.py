@@ -113,7 +113,10 @@ def run_grid(
     if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
         raise InputError(f"parameters have shapes {sorted(shapes)}; each must be a scalar or of one common length")
     params = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), params)
-    return _run_grid(split_times(traces), context, params, policy, summary, lanes, len(jax.local_devices()))
+    # Inside a program that already shares its work among the devices, each has its part.
+    shared_already = bool(jax.sharding.get_abstract_mesh().axis_names)
+    devices = 1 if shared_already else len(jax.local_devices())
+    return _run_grid(split_times(traces), context, params, policy, summary, lanes, devices)
 
 
 @partial(jax.jit, static_argnames=("policy", "summary", "lanes", "devices"))

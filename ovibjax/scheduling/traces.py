@@ -187,33 +187,54 @@ def make_trace(
     rate = jnp.asarray(rate_kb_per_s, jnp.float32)
 
     def client(number: jax.Array) -> Workload:
-        phase_key, urgency_key, deadline_key, service_key, fading_key = jax.random.split(
-            jax.random.fold_in(key, number), 5
-        )
-        shape = events.time_s.shape
-        phase_s = params.phase_spread_s * jax.random.uniform(phase_key)
-        urgency = params.urgency_low + (params.urgency_high - params.urgency_low) * jax.random.uniform(urgency_key)
-        span_ms = params.deadline_high_ms - params.deadline_low_ms
-        deadline_ms = params.deadline_low_ms + span_ms * jax.random.uniform(deadline_key, shape)
-        rate_bps = profile_rate_bps(fading_power(fading_key, shape, 0.0), rate, depth=params.fading_depth)
+        keys = jax.random.split(jax.random.fold_in(key, number), 5)
+        fading = fading_power(keys[4], events.time_s.shape, 0.0)
+        rate_bps = profile_rate_bps(fading, rate, depth=params.fading_depth)
         uplink_ms = params.encode_ms + 1000.0 * transmit_s(events.payload_bytes, rate_bps)
-        requests = RequestTrace(
-            client=jnp.broadcast_to(number, shape),
-            ready_ms=1000.0 * (events.time_s + phase_s) + uplink_ms,
-            service_ms=draw_ms(service_key, params.service, events.mode),
-            service_est_ms=estimate_ms(params.service, events.mode),
-            deadline_ms=deadline_ms,
-            voi_m=events.voi_m,
-            drift_m_per_s=events.drift_m_per_s,
-            risk_m=events.risk_m,
-            delay_est_ms=events.delay_est_ms,
-            urgency=jnp.broadcast_to(urgency, shape),
-            valid=events.valid,
-        )
-        return Workload(requests, uplink_ms)
+        return client_requests(keys[:4], number, events, uplink_ms, params)
 
-    workload = jax.vmap(client)(jnp.arange(n_clients, dtype=jnp.int32))
-    flat: Workload = jax.tree.map(lambda leaf: leaf.reshape(-1), workload)
+    return flatten(jax.vmap(client)(jnp.arange(n_clients, dtype=jnp.int32)))
+
+
+def client_requests(
+    keys: jax.Array, number: jax.Array, events: Events, uplink_ms: jax.Array, params: TraceParams
+) -> Workload:
+    """Requests of one client: its events, with phase, urgency, deadlines and service times drawn.
+
+    Args:
+        keys: [4] keys of the client.
+        number: its number.
+        events: leaves [E].
+        uplink_ms: [E] encoding and transmission.
+        params: scalars; of them phases, urgencies, deadlines and service are used.
+
+    Returns:
+        Leaves [E].
+    """
+    phase_key, urgency_key, deadline_key, service_key = keys
+    shape = events.time_s.shape
+    phase_s = params.phase_spread_s * jax.random.uniform(phase_key)
+    urgency = params.urgency_low + (params.urgency_high - params.urgency_low) * jax.random.uniform(urgency_key)
+    span_ms = params.deadline_high_ms - params.deadline_low_ms
+    requests = RequestTrace(
+        client=jnp.broadcast_to(number, shape),
+        ready_ms=1000.0 * (events.time_s + phase_s) + uplink_ms,
+        service_ms=draw_ms(service_key, params.service, events.mode),
+        service_est_ms=estimate_ms(params.service, events.mode),
+        deadline_ms=params.deadline_low_ms + span_ms * jax.random.uniform(deadline_key, shape),
+        voi_m=events.voi_m,
+        drift_m_per_s=events.drift_m_per_s,
+        risk_m=events.risk_m,
+        delay_est_ms=events.delay_est_ms,
+        urgency=jnp.broadcast_to(urgency, shape),
+        valid=events.valid,
+    )
+    return Workload(requests, uplink_ms)
+
+
+def flatten(clients: Workload) -> Workload:
+    """Leaves [N, E] to [N E], client after client."""
+    flat: Workload = jax.tree.map(lambda leaf: leaf.reshape(-1), clients)
     return flat
 
 

@@ -12,7 +12,7 @@ from ovibjax.errors import InputError
 from ovibjax.report.claims import interval
 from ovibjax.report.labels import metrics, select
 from ovibjax.report.lines import line_figure, plot
-from ovibjax.report.show import table, write_csv
+from ovibjax.report.show import MAX_METRICS, table, write_csv
 
 GRID = ("beta", "gamma", "seed")
 BETA, GAMMA, PREFIX = np.float32([1e-3, 1e-2, 1e-1]), np.float32([0.0, 0.01, 0.1, 1.0]), [5, 35]
@@ -295,3 +295,15 @@ def test_what_cannot_be_shown(results, tmp_path) -> None:
         plot(one, tmp_path / "plot.jpq", "beta", "latency")
     with pytest.raises(InputError, match="cannot write there"):
         plot(one, Path(tmp_path / "missing" / "plot.png"), "beta", "latency")
+
+
+def test_many_metrics_are_named_instead_of_squeezed_in():
+    dims = ("beta", "seed")
+    data = {f"m{i}": (dims, np.arange(4.0).reshape(2, 2) + i) for i in range(12)}
+    data["wide"] = ((*dims, "k"), np.zeros((2, 2, 3)))
+    flags = {name: (dims, np.full((2, 2), name == "finished")) for name in ("finished", "diverged")}
+    made = xr.Dataset(data | flags, coords={"beta": [0.1, 0.2], "seed": [0, 1], "k": [1, 2, 3]})
+    shown = table(made)
+    heads = [str(column.header) for column in shown.columns]
+    assert sum(head.startswith("m") for head in heads) == MAX_METRICS
+    assert "also: m9, m10, m11, wide" in str(shown.caption)

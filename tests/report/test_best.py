@@ -1,0 +1,103 @@
+"""The point a sweep's reader asks for, and the command that reruns it; variance shares of a grid."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from ovibjax.errors import InputError
+from ovibjax.report.best import choose, command
+from ovibjax.report.shares import variance_shares
+
+
+@pytest.fixture
+def dataset():
+    rng = np.random.default_rng(0)
+    dims = ("beta", "seed")
+    error = np.array([[5.0, 5.2, 4.8], [3.0, 3.2, 2.8], [1.0, 1.2, 0.8]])
+    cost = rng.uniform(1, 2, (3, 3, 2, 2)) + np.array([3.0, 0.0, 5.0])[:, None, None, None]
+    cost[1, :, 1, 0] = 0.1
+    return xr.Dataset(
+        {
+            "mean_route_m": (dims, error, {"units": "m"}),
+            "kb": (dims, np.array([[1.0] * 3, [2.0] * 3, [3.0] * 3])),
+            "top_cost": ((*dims, "k", "scheduler"), cost),
+            "finished": (dims, np.ones((3, 3), bool)),
+            "diverged": (dims, np.zeros((3, 3), bool)),
+        },
+        coords={"beta": [1e-4, 1e-3, 1e-2], "seed": [100, 101, 102], "k": [8, 16], "scheduler": ["fifo", "edf"]},
+    )
+
+
+def test_the_lowest_mean_within_the_bounds(dataset):
+    found = choose(dataset, "mean_route_m", ["kb<=2.1"])
+    assert found.point == {"beta": 1e-3} and found.feasible == 2 and found.points == 3
+    assert found.means["mean_route_m"] == pytest.approx(3.0) and found.halves["mean_route_m"] > 0
+    assert np.isnan(found.means["top_cost"])  # depends on axes that were not chosen along
+    assert choose(dataset, "mean_route_m").point == {"beta": 1e-2}
+    assert found.over == [100, 101, 102]
+
+
+def test_bounds_on_metrics_over_more_axes(dataset):
+    found = choose(dataset, "mean_route_m", ["top_cost<0.5", "kb>1"])
+    assert found.point == {"beta": 1e-3, "k": 16, "scheduler": "fifo"} and found.feasible == 1
+    assert found.means["top_cost"] == pytest.approx(0.1)
+    assert choose(dataset, "top_cost").point == {"beta": 1e-3, "k": 16, "scheduler": "fifo"}
+
+
+def test_a_diverged_member_counts_in_no_mean(dataset):
+    dataset["mean_route_m"][2, 0] = np.nan
+    dataset["diverged"][2, 0] = True
+    assert choose(dataset, "mean_route_m").means["mean_route_m"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("metric", "bounds", "message"),
+    [
+        ("mean_route", [], "did you mean mean_route_m"),
+        ("kb", ["kb=2"], "write METRIC<=NUMBER"),
+        ("kb", ["kb<=much"], "'much' is not a number"),
+        ("kb", ["bk<=2"], "no metric 'bk'"),
+        ("kb", ["kb<=0.5"], "no finished point keeps kb<=0.5"),
+    ],
+)
+def test_what_cannot_be_chosen_is_refused(dataset, metric, bounds, message):
+    with pytest.raises(InputError, match=message):
+        choose(dataset, metric, bounds)
+
+
+def test_the_command_that_reruns_the_point():
+    config = {
+        "function": "ovibjax.system.System",
+        "axes": {"beta": {"values": [1e-4, 1e-3]}, "seed": {"values": [100, 101]}},
+        "settings": {"k": [8, 16], "data": "embedded", "kb_per_s": 4.0, "scheduler": ["fifo", "edf"]},
+    }
+    line = command(config, {"beta": 1e-3, "k": 16, "scheduler": "edf"}, {"seed": [100, 101]}, "a b.zarr")
+    assert line == (
+        "ovibjax sweep system --beta 0.001 --seed 100 101 --k 16 --kb-per-s 4 --scheduler edf --out 'a b.zarr'"
+    )
+    with pytest.raises(InputError, match="made from Python by mine"):
+        command({**config, "function": "mine.fn"}, {}, {}, "x")
+
+
+def test_shares_of_a_sum_and_of_a_product():
+    x, y = xr.DataArray([0.0, 1.0, 2.0], dims="x"), xr.DataArray([0.0, 3.0], dims="y")
+    shares = variance_shares((x + y).rename("sum"))
+    assert shares["x"] == pytest.approx(np.var(x) / (np.var(x) + np.var(y)))
+    assert shares["x x y"] == pytest.approx(0.0, abs=1e-12) and shares["rest"] == pytest.approx(0.0, abs=1e-12)
+    product = ((x - 1.0) * (y - 1.5)).rename("product")
+    assert variance_shares(product)["x x y"] == pytest.approx(1.0)
+    assert variance_shares(product, order=1)["rest"] == pytest.approx(1.0)
+    assert set(variance_shares((0.0 * product).rename("none")).values()) == {0.0}
+
+
+def test_shares_add_up_on_random_grids():
+    rng = np.random.default_rng(3)
+    grid = xr.DataArray(rng.normal(size=(3, 4, 2, 5)), dims=("a", "b", "c", "seed"), name="m")
+    assert sum(variance_shares(grid).values()) == pytest.approx(1.0)
+    assert sum(variance_shares(grid, order=4).values()) == pytest.approx(1.0)
+    assert variance_shares(grid, order=4)["rest"] == pytest.approx(0.0, abs=1e-9)
+    assert sum(variance_shares(grid, axes=["b", "a"]).values()) == pytest.approx(1.0)
+    with pytest.raises(InputError, match="no axis 'z'"):
+        variance_shares(grid, axes=["z"])
+    with pytest.raises(InputError, match="not finite"):
+        variance_shares(grid.where(grid > 0))
