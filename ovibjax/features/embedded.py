@@ -13,7 +13,7 @@ import numpy as np
 import platformdirs
 
 from ovibjax.errors import InputError
-from ovibjax.features.backbone import (
+from ovibjax.features.pyramid import (
     EMBEDDED_DIM,
     EMBEDDED_HEIGHT_PX,
     EMBEDDED_WIDTH_PX,
@@ -30,7 +30,7 @@ PAPER_FRAMES = 4994
 """Frames of the paper's single-scene split."""
 
 _CHUNK = 32  # frames per call: large enough to fill the vector units, small enough for the second-level cache
-_SOURCES = ("town.py", "route.py", "render.py", "shading.py", "backbone.py", "embedded.py")
+_SOURCES = ("town.py", "route.py", "render.py", "shading.py", "pyramid.py", "embedded.py")
 
 OnFrames = Callable[[int, int], None]
 

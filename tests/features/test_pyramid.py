@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import correlate2d
 
-from ovibjax.features.backbone import (
+from ovibjax.features.pyramid import (
     EMBEDDED_DIM,
     EMBEDDED_HEIGHT_PX,
     EMBEDDED_WIDTH_PX,

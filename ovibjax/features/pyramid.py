@@ -1,0 +1,107 @@
+"""The embedded convolution pyramid: from the views of a frame to one unit-norm feature per view.
+
+It stands in for CLIP ViT-B/32 where no weights can be downloaded: a fixed, seeded convolution pyramid whose pooled
+responses are projected to 512 dimensions. It has never seen an image, and it is no CLIP; what it shares with CLIP is
+the interface (image in, 512-d unit vector out) and smoothness under small motion.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+EMBEDDED_DIM = 512
+EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX = 48, 64
+_CHANNELS = (24, 48, 64)
+_GRIDS = ((3, 4), (3, 3), (2, 2))  # pooling cells per level, rows x columns: the deeper, the coarser
+
+
+class EmbeddedBackbone(NamedTuple):
+    """Weights of the embedded backbone.
+
+    Attributes:
+        filters: convolution kernels, each [h, w, in, out].
+        projection: [pooled, 512].
+    """
+
+    filters: tuple[np.ndarray, ...]
+    projection: np.ndarray
+
+
+def embedded_backbone(seed: int = 0) -> EmbeddedBackbone:
+    """The seeded weights; equal on every machine.
+
+    Args:
+        seed: another seed is another backbone.
+
+    Returns:
+        The backbone's weights.
+    """
+    rng = np.random.default_rng([seed, 0xB0])
+    filters, channels = [], 3
+    for size, out in zip((5, 3, 3), _CHANNELS, strict=True):
+        kernel = rng.standard_normal((size, size, channels, out)).astype(np.float32)
+        # Two thirds of the filters see edges and texture only; the rest also see brightness and colour.
+        edge = np.arange(out) % 3 != 0
+        kernel -= edge * kernel.mean(axis=(0, 1), keepdims=True)
+        kernel /= np.sqrt((kernel**2).sum(axis=(0, 1, 2), keepdims=True))
+        filters.append(kernel)
+        channels = out
+    pooled = sum(c * rows * columns for c, (rows, columns) in zip(_CHANNELS, _GRIDS, strict=True))
+    projection = rng.standard_normal((pooled, EMBEDDED_DIM)).astype(np.float32) / np.sqrt(pooled)
+    return EmbeddedBackbone(tuple(filters), projection.astype(np.float32))
+
+
+@jax.jit
+def embed(backbone: EmbeddedBackbone, rgb: jax.Array) -> jax.Array:
+    """Features of a batch of images.
+
+    Args:
+        backbone: weights from `embedded_backbone`.
+        rgb: [B, 48, 64, 3] float32 in [0, 1].
+
+    Returns:
+        [B, 512] float32, unit norm.
+    """
+    # Neighbouring frames shift edges by a pixel; blurring first makes the feature change smoothly with the pose.
+    x = _blur(_blur(_blur(_blur(rgb - 0.5))))
+    levels = []
+    for kernel, grid in zip(backbone.filters, _GRIDS, strict=True):
+        x = jnp.maximum(_convolve(x, jnp.asarray(kernel)), 0.0)
+        # The square root tames bright cells; every level enters with the same weight, whatever its scale.
+        cells = jnp.sqrt(_pool(x, grid)).reshape(x.shape[0], -1)
+        cells = cells - cells.mean(axis=1, keepdims=True)
+        levels.append(cells / jnp.linalg.norm(cells, axis=1, keepdims=True))
+        x = x / (jnp.sqrt(jnp.mean(x**2, axis=(1, 2, 3), keepdims=True)) + 1e-6)
+    feature = jnp.concatenate(levels, axis=1) @ jnp.asarray(backbone.projection)
+    return feature / jnp.linalg.norm(feature, axis=1, keepdims=True)
+
+
+def _blur(x: jax.Array) -> jax.Array:
+    """Binomial 3 x 3 blur, edges repeated."""
+    x = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)), mode="edge")
+    x = (x[:, :-2] + 2 * x[:, 1:-1] + x[:, 2:]) / 4
+    return (x[:, :, :-2] + 2 * x[:, :, 1:-1] + x[:, :, 2:]) / 4
+
+
+def _convolve(x: jax.Array, kernel: jax.Array) -> jax.Array:
+    """Convolution of stride 2 as one matrix product over patches, faster than XLA's own on a CPU for few channels."""
+    size, (_, height, width, _) = kernel.shape[0], x.shape
+    pad = size // 2
+    x = jnp.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
+    patches = [x[:, i : i + height : 2, j : j + width : 2] for i in range(size) for j in range(size)]
+    return jnp.concatenate(patches, axis=-1) @ kernel.reshape(-1, kernel.shape[-1])
+
+
+def _pool(x: jax.Array, grid: tuple[int, int]) -> jax.Array:
+    """Means over overlapping Gaussian cells, [B, rows, columns, C]."""
+    rows, columns = _windows(x.shape[1], grid[0]), _windows(x.shape[2], grid[1])
+    return jnp.einsum("bhwc,yh,xw->byxc", x, rows, columns)
+
+
+def _windows(size: int, cells: int) -> np.ndarray:
+    centre = (np.arange(cells) + 0.5) / cells
+    at = (np.arange(size) + 0.5) / size
+    weight = np.exp(-0.5 * ((at[None] - centre[:, None]) * cells / 0.6) ** 2)
+    return (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
