@@ -42,7 +42,7 @@ _INK = "#222222"
 _CELL_W, _CELL_H, _GAP, _MARGIN, _HEADER, _LABEL = 236, 177, 6, 14, 40, 44
 
 
-def _render_frames(town: Town, route: Route, frames: NDArray[np.int64]) -> Iterator[tuple[int, Views]]:
+def render_frames(town: Town, route: Route, frames: NDArray[np.int64]) -> Iterator[tuple[int, Views]]:
     """Each listed frame with its views, [M, H, W] NumPy arrays, rendered in batches of one size."""
     # A small town has fewer buildings than the camera keeps.
     n_boxes, n_trees = len(town.boxes), len(town.trees)
@@ -177,7 +177,7 @@ def write_frames(
             folder.mkdir(parents=True, exist_ok=True)
         _write_calibration(calibration, _calibration(town_config, n_frames, seed))
         todo = np.array([frame for frame in range(n_frames) if not is_finished(frame)], np.int64)
-        for done, (frame, views) in enumerate(_render_frames(town, route, todo), n_frames - len(todo) + 1):
+        for done, (frame, views) in enumerate(render_frames(town, route, todo), n_frames - len(todo) + 1):
             write(frame, views)
             if on_frame is not None:
                 on_frame(done, n_frames)
@@ -246,7 +246,7 @@ def _pick_frames(town: Town, route: Route, context: NDArray[np.int32]) -> list[t
     for code in range(len(CONTEXTS)):
         mine = np.flatnonzero(context[starts] == code)
         longest = mine[np.argsort(starts[mine] - stops[mine], kind="stable")][:_CANDIDATES]
-        seen = list(_render_frames(town, route, (starts[longest] + stops[longest]) // 2))
+        seen = list(render_frames(town, route, (starts[longest] + stops[longest]) // 2))
         if seen:
             shown.append(max(seen, key=lambda item: _contrast(item[1])))
     return shown
