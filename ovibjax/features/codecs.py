@@ -37,10 +37,10 @@ NAMES = STILLS | CLIPS
 """Codecs by kind, with the names that figures use."""
 
 LADDERS: dict[str, tuple[int, ...]] = {
-    "jpeg": (1, 4, 8, 15, 30, 60),
-    "webp": (0, 5, 15, 35, 60, 85),
-    "h264": (51, 46, 41, 36, 31, 24),
-    "h265": (51, 46, 41, 36, 31, 24),
+    "jpeg": (1, 4, 8, 15, 40),
+    "webp": (0, 5, 15, 35, 70),
+    "h264": (51, 46, 41, 36, 28),
+    "h265": (51, 46, 41, 36, 28),
 }
 """Qualities from the coarsest that the codec has; JPEG and WebP: quality, H.264 and H.265: constant rate factor."""
 
@@ -110,13 +110,15 @@ def decode(data: bytes) -> Views:
     (crc,) = _CRC.unpack_from(data, _HEAD.size)
     if magic != b"IC" or number >= len(CODECS) or crc != zlib.crc32(data[: _HEAD.size] + data[start:]):
         raise InputError("payload is damaged, or not one of an image codec")
-    lengths = struct.unpack_from(f"<{count}I", data, start)
     body, codec = data[start + 4 * count :], CODECS[number]
+    lengths = struct.unpack_from(f"<{count}I", data, start) if len(data) >= start + 4 * count else ()
+    if not lengths or sum(lengths) != len(body):
+        raise InputError(f"payload has {len(body)} bytes of code, not what its lengths say")
     if codec in CLIPS:
         return _decode_clip(codec, body, (count, rows, columns))
     ends = np.cumsum(lengths).tolist()
     parts = [body[end - length : end] for end, length in zip(ends, lengths, strict=True)]
-    return np.stack([np.asarray(Image.open(io.BytesIO(part)).convert("RGB")) for part in parts])
+    return np.stack([_decode_still(codec, part, (rows, columns)) for part in parts])
 
 
 def video_missing() -> str:
@@ -138,6 +140,18 @@ def _encode_still(codec: str, quality: int, view: Views) -> bytes:
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{codec}: this image cannot be coded here ({error})") from error
     return stream.getvalue()
+
+
+def _decode_still(codec: str, code: bytes, shape: tuple[int, int]) -> Views:
+    try:
+        image = Image.open(io.BytesIO(code), formats=[codec])
+        if image.size != shape[::-1]:  # checked before any pixel is made room for
+            raise InputError(f"{codec}: the image has {image.width} x {image.height} px, not {shape[1]} x {shape[0]}")
+        return np.asarray(image.convert("RGB"))
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{codec}: the image cannot be decoded ({error})") from error
 
 
 def _av(codec: str) -> ModuleType:
@@ -192,4 +206,6 @@ def _decode_clip(codec: str, stream: bytes, shape: tuple[int, int, int]) -> View
         raise InputError(f"{codec}: the clip cannot be decoded ({error})") from error
     if len(frames) != count:
         raise InputError(f"{codec}: the clip has {len(frames)} frames, not {count}")
+    if any((frame.height, frame.width) != (rows + rows % 2, columns + columns % 2) for frame in frames):
+        raise InputError(f"{codec}: the clip does not have {columns} x {rows} px")
     return np.stack([frame.to_ndarray(format="rgb24")[:rows, :columns] for frame in frames])

@@ -13,6 +13,7 @@ import numpy as np
 import platformdirs
 
 from ovibjax.errors import InputError
+from ovibjax.features.frames import FeatureSet, load, make_feature_set, save
 from ovibjax.features.pyramid import (
     EMBEDDED_DIM,
     EMBEDDED_HEIGHT_PX,
@@ -20,7 +21,6 @@ from ovibjax.features.pyramid import (
     embed,
     embedded_backbone,
 )
-from ovibjax.features.frames import FeatureSet, load, make_feature_set, save
 from ovibjax.features.render import Camera, render
 from ovibjax.features.route import context_labels, make_route
 from ovibjax.features.town import Town, TownConfig, make_town

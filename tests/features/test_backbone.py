@@ -10,7 +10,7 @@ from PIL import Image
 from ovibjax.errors import InputError
 from ovibjax.features.backbone import BackboneOptions, open_backbone
 from ovibjax.features.image_encoder import CLIP_MEAN, CLIP_STD, resize_and_crop
-from ovibjax.features.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed, embedded_backbone
+from ovibjax.features.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed
 from tests.features import onnx_bytes
 
 RNG = np.random.default_rng(7)
@@ -152,7 +152,10 @@ class TestOnnx:
             (good[:60], "net.onnx"),
             (onnx_bytes.flat_product(flat, ("n", 12)), "axes"),
             (onnx_bytes.pooled_product(WEIGHT, ("n", 4, "h", "w")), "shape"),
-            (onnx_bytes.model([("Cast", ("a",), "b")], {}, [("a", (1, 3, 2, 2), 7)], [("b", (1, 3, 2, 2))]), "net.onnx"),
+            (
+                onnx_bytes.model([("Cast", ("a",), "b")], {}, [("a", (1, 3, 2, 2), 7)], [("b", (1, 3, 2, 2))]),
+                "net.onnx",
+            ),
             (
                 onnx_bytes.model(
                     [("Add", ("a", "b"), "c")], {}, [("a", (1, 3, 2, 2)), ("b", (1, 3, 2, 2))], [("c", (1, 3, 2, 2))]
