@@ -110,7 +110,7 @@ def caption(results: Results, energy_kept: float, view_dim: int) -> str:
         "payload against error. (c) Errors per test frame of all seeds; box: quartiles, whiskers: 5th and 95th "
         "percentile, diamond: mean, red tick: 90th percentile. (d) Encoding after feature extraction (Jetson "
         f"Orin NX profile) plus transmission at {LINK_KB_PER_S} KB/s; image codecs: transmission alone, of the "
-        f"bytes at which they reach O-VIB's error at k = {RIVAL_K}; black ticks: the paper. Bands are 95 % intervals over "
+        f"bytes at which they reach O-VIB's error at k = {RIVAL_K}; black ticks: paper. Bands are 95 % intervals over "
         f"{len(results.outcomes)} seeds (split, initialisation, minibatches). The database holds uncompressed "
         f"reference descriptors (frozen localizer). {view_dim} principal coordinates per view keep "
         f"{100 * energy_kept:.0f} % of the feature variance."
