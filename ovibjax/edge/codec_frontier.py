@@ -167,7 +167,8 @@ def judge_codecs(
     sizes, errors, plain, native, ovib = [], [], [], [], []
     for seed, mine in chosen.items():
         both = np.concatenate([mine.val, mine.test])
-        views = CodedViews(*(field[np.searchsorted(frames, both)] for field in coded))
+        at = np.searchsorted(frames, both)
+        views = CodedViews(coded.plain[at], coded.coded[at], coded.payload_bytes[at])
         judge = _judge_with(prepared[seed], outcomes[seed]["ovib"], at_m[mine.val], at_m[mine.test])
         errors.append(np.stack([judge(views.coded[:, r]) for r in range(len(plan.rungs))]))
         plain.append(judge(views.plain).mean())

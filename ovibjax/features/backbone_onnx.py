@@ -33,7 +33,7 @@ SIDE_KEYS = ("size", "layout", "mean", "std", "output")
 _MAX_SIDE_BYTES = 64 * 1024
 _MAX_SIZE_PX = 4096
 _BATCH = 16
-_DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+_DTYPES: dict[str, type[np.floating[Any]]] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 
 
 @dataclass(frozen=True)
