@@ -181,7 +181,7 @@ def _draw_frontier(ax: Axes, results: Results, codecs: Frontier | None) -> None:
     ax.set(xlabel="payload (KB)", ylabel="mean error (m)", xscale="log", yscale="log")
     fig.plain_log_ticks(ax.yaxis)
     fig.plain_log_ticks(ax.xaxis)
-    ax.legend(loc="upper right")
+    ax.legend(loc="upper right", ncols=2, columnspacing=1.0, handlelength=1.4)
     fig.title(ax, "b", "payload and error")
 
 

@@ -88,6 +88,10 @@ class Frontier:
             [fewest_bytes(*rows, self.ovib_m[i]) for i, rows in enumerate(zip(*self.of(codec), strict=True))]
         )
 
+    def coarsest_suffices(self, codec: str) -> bool:
+        """Whether the codec's coarsest quality reaches O-VIB's error on every seed: a coarser one might, too."""
+        return bool((self.of(codec)[1][:, 0] <= self.ovib_m).all())
+
     def table_rows(self) -> list[dict[str, Any]]:
         """One tidy row per codec, quality and seed."""
         rows = []

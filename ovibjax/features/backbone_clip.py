@@ -37,6 +37,8 @@ def open_clip(folder: str | None = None) -> Backbone:
     Raises:
         InputError: the extra `[clip]` or the weights are missing, or the folder holds another kind of model.
     """
+    if folder is not None and not (Path(folder) / "config.json").is_file():
+        raise InputError(f"{folder}: no CLIP model: the folder has no config.json; save one with save_pretrained")
     try:
         import torch
         from transformers import CLIPConfig, CLIPModel
@@ -44,8 +46,6 @@ def open_clip(folder: str | None = None) -> Backbone:
     except ImportError as error:
         raise InputError('clip needs the extra [clip]: pip install "ovibjax[clip]"') from error
     source = folder or CLIP_NAME
-    if folder is not None and not (Path(folder) / "config.json").is_file():
-        raise InputError(f"{folder}: no CLIP model: the folder has no config.json; save one with save_pretrained")
     try:
         kind = CLIPConfig.get_config_dict(source, local_files_only=True)[0].get("model_type")
         if kind != "clip":

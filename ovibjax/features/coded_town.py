@@ -27,7 +27,7 @@ Rung = tuple[str, int]
 """A codec and a quality."""
 
 _CHUNK = 2  # frames rendered together
-_MINE = ("town_files.py", "codecs.py", "image_encoder.py", "backbone.py", "coded_town.py")
+_MINE = ("town_files.py", "codecs.py", "image_encoder.py", "backbone_embedded.py", "coded_town.py")
 
 
 class CodedViews(NamedTuple):

@@ -121,11 +121,11 @@ def made(factor, errors=(4.0, 3.0, 3.0), ovib=4.0):
 @pytest.mark.parametrize(
     ("frontier_", "size", "speed", "word"),
     [
-        (made(100), HELD, NOT_HELD, "100.0"),
+        (made(100), HELD, NOT_HELD, "H.265 at most 100.0"),
         (made(300), HELD, HELD, "300.0"),
         (made(10), NOT_HELD, NOT_HELD, "10.0"),
         # JPEG reaches the error at its second rung only.
-        (made(30, errors=(5.0, 4.0, 5.0)), HELD, NOT_HELD, "H.265 never on 3 of 3"),
+        (made(30, errors=(5.0, 4.0, 5.0)), HELD, NOT_HELD, "JPEG 60.0"),
         (made(10, errors=(9.0, 9.0, 9.0)), HELD, HELD, "JPEG never on 3 of 3"),
     ],
 )
