@@ -241,7 +241,10 @@ def reproduce(
         if name not in card_names():
             raise InputError(f"no figure is called {name!r}; there are: {', '.join(card_names())}")
     if backbone != "embedded":
-        raise InputError(f"backbone {backbone!r} is not available; this version has: embedded")
+        raise InputError(
+            f"backbone {backbone!r}: the figures embed the town with 'embedded'; write frames with `ovibjax town "
+            f"--frames N`, embed them with `ovibjax features --backbone {backbone}`, and pass the file with --data"
+        )
     paths = [sweep] if sweep is not None else [cards_folder() / f"{name}.py" for name in (only or card_names())]
     cards = [load_card(path) for path in paths]
     # Whatever can be refused is refused before anything is rendered, and a refusal leaves no folder behind.

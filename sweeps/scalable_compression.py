@@ -7,6 +7,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
+from ovibjax import codec_cards
+from ovibjax.compression_claims import LINK_KB_PER_S, PAPER_LATENCY_MS, judge_claims
+from ovibjax.edge.codec_frontier import RIVAL_K, Frontier
 from ovibjax.edge.compare import Results, collect, table_rows
 from ovibjax.edge.methods import FIXED, SPARSE_PREFIXES, TRAINED, Effort, Outcome, prefixes_of, run_method
 from ovibjax.edge.overhead import measure_encoder, overhead_rows
@@ -16,27 +19,23 @@ from ovibjax.link.latency import (
     LatencyProfile,
     compute_ms_at,
     kbytes_per_s,
-    semantic_latency_ms,
     transmit_s,
 )
 from ovibjax.link.payload import representation_bytes
 from ovibjax.progress import progress_bar
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, above, below, interval, write_claims
+from ovibjax.report.claims import write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.reproduce import Interrupted, Job
 from ovibjax.threads import in_threads
 
 TITLE = "Scalable O-VIB compression"
-LINK_KB_PER_S = 8
 SEEDS = {"smoke": 2, "quick": 3, "full": 5}
 EFFORTS = {
     "smoke": Effort(steps=60, fixed_steps=30, lr=3e-3),
     "quick": Effort(steps=2200, fixed_steps=800, lr=3e-3),
     "full": Effort(steps=8000, fixed_steps=4000, lr=2e-3),
 }
-PAPER_LATENCY_MS = {16: 42.0, 35: 52.0, 32: 50.4, 128: 100.6}
-PAPER_CODECS_S = {"WebP": 2.92, "H.265": 3.61, "JPEG": 4.58, "H.264": 5.04}
 NAMES = {"ovib": "O-VIB", "vib": "VIB", "fixed": "fixed-rate", "pca": "PCA", "raw": "raw features"}
 COLOURS = {"ovib": fig.BLUE, "vib": fig.SKY, "fixed": fig.ORANGE, "pca": fig.RED, "raw": fig.GREY}
 
@@ -67,6 +66,12 @@ def run(job: Job) -> None:
     if not finished:
         raise KeyboardInterrupt
     member, basis = prepared[next(iter(finished))]
+    codecs, codec_note = None, " Image codecs are left out: the run was interrupted."
+    if not interrupted:
+        try:
+            codecs, codec_note = codec_cards.code_and_judge(job, prepared, finished)
+        except KeyboardInterrupt:
+            interrupted = True
     results = collect(finished, raw_floats=int(np.prod(job.features.features.shape[1:])))
     host = measure_encoder(results, member)
     write_rows(job.out / "table.csv", table_rows(results))
@@ -74,11 +79,14 @@ def run(job: Job) -> None:
         job.out / "overhead.csv",
         overhead_rows(results, host, 4 * (basis.axes.size + basis.mean.size), LINK_KB_PER_S, PAPER_LATENCY_MS),
     )
-    write_claims(job.out / "claims.json", judge_claims(results, job))
-    draw(job.out / "figure.png", results, host)
+    codec_claims = codec_cards.claims(codecs, LINK_KB_PER_S) if codecs else []
+    if codecs:
+        write_rows(job.out / "codec.csv", codecs.table_rows())
+    write_claims(job.out / "claims.json", [*judge_claims(results, job.embedded), *codec_claims])
+    draw(job.out / "figure.png", results, host, codecs)
     kept = float(np.mean([basis.energy_kept.mean() for _, basis in prepared.values()]))
     job.record(
-        *(TITLE, caption(results, kept, member.train.x.shape[2]), finished, started),
+        *(TITLE, caption(results, kept, member.train.x.shape[2]) + codec_note, finished, started),
         preset=job.preset + (" (interrupted)" if interrupted else ""),
         selected_k=results.chosen,
         view_coordinates=member.train.x.shape[2],
@@ -95,141 +103,28 @@ def run(job: Job) -> None:
         )
 
 
-def judge_claims(results: Results, job: Job) -> list[Claim]:
-    """The paper's claims and the project's own expectations of the embedded town, by stated rules."""
-    at = {k: interval(results.at("ovib", k)) for k in (16, 35, 128)}
-    pca16 = results.at("pca", 16)
-    ratio = interval(results.at("ovib", 16) / pca16)
-    curve = results.mean_m("ovib")[:, 23:]
-    spread = interval(100 * (curve.max(axis=1) / curve.min(axis=1) - 1))
-    shorter = interval(results.at("ovib", 16) / results.at("ovib", 128))
-    ours_16 = f"{at[16].text()} m against {interval(pca16).text('m')}, ratio {ratio.text()}"
-    claims = [
-        Claim(
-            "A 16-float prefix localizes about as well as all 128: error at k = 16 at most 1.15 of that at k = 128",
-            "9.31 / 10.11 m = 0.92",
-            f"{at[16].text()} / {at[128].text('m')}, ratio {shorter.text()}",
-            below(shorter, 1.15),
-            "interval of the paired ratio at most 1.15",
-        ),
-        Claim(
-            "O-VIB at k = 16 has at most half of PCA's error at k = 16",
-            "-",
-            ours_16,
-            below(ratio, 0.5),
-            "interval of the paired ratio at most 0.5",
-        ),
-    ]
-    best_pca = min(SPARSE_PREFIXES, key=lambda k: results.at("pca", k).mean())
-    crossing = [k for k in SPARSE_PREFIXES if results.at("pca", k).mean() < results.at("ovib", k).mean()]
-    ahead = max((k for k in SPARSE_PREFIXES if k not in crossing), default=0)
-    claims.append(
-        Claim(
-            "At every payload O-VIB is at least as accurate as PCA",
-            "-",
-            f"O-VIB is ahead up to k = {ahead}; PCA reaches "
-            f"{interval(results.at('pca', best_pca)).text('m')} at k = {best_pca}",
-            NOT_HELD if crossing else HELD,
-            "no prefix at which PCA's mean error is lower",
-        )
-    )
-    recoded = [interval(results.at(m, 16, recoded=True)) for m in ("ovib", "pca")]
-    claims.append(
-        Claim(
-            "What a re-coded database changes: references passed through the same code and prefix as the query, k = 16",
-            "-",
-            f"O-VIB {recoded[0].text('m')}, PCA {recoded[1].text('m')}",
-            REPORTED,
-            "not part of the frozen-localizer protocol",
-        )
-    )
-    difference = interval(results.at("vib", 35) - results.at("ovib", 35))
-    claims.append(
-        Claim(
-            "Orthogonality helps: O-VIB below plain VIB at k = 35 (paired over seeds)",
-            "9.30 - 8.75 = 0.55 m",
-            f"VIB minus O-VIB {difference.text('m')}",
-            HELD if difference.low > 0 else NOT_HELD,
-            "the whole interval of the paired difference above zero",
-        )
-    )
-    for k in FIXED:
-        gap = interval(results.at("ovib", k) - results.at(f"fixed_{k}", k))
-        claims.append(
-            Claim(
-                f"One scalable model replaces the fixed-rate model of K = {k}: at most 1 m worse at the same payload",
-                "-",
-                f"O-VIB minus fixed-rate {gap.text('m')}",
-                below(gap, 1.0),
-                "interval of the paired difference at most 1 m",
-            )
-        )
-    span = [float(semantic_latency_ms(JETSON, k, kbytes_per_s(LINK_KB_PER_S))) for k in PAPER_LATENCY_MS]
-    paper = list(PAPER_LATENCY_MS.values())
-    claims.append(
-        Claim(
-            "Latency at 8 KB/s under the Jetson profile (k = 16, 35, 32, 128); the profile is read off its table, "
-            "so this checks the payload and link arithmetic and measures nothing",
-            " / ".join(map(str, paper)) + " ms",
-            " / ".join(f"{ms:.1f}" for ms in span) + " ms",
-            HELD if max(abs(a - b) for a, b in zip(span, paper, strict=True)) <= 0.1 else NOT_HELD,
-            "each within 0.1 ms",
-        )
-    )
-    if not job.embedded:
-        return claims
-    front_m, sides_m = (interval(results.raw_mode_m[mode]) for mode in ("F", "FS"))
-    front = interval(results.raw_mode_m["F"] / results.raw_mode_m["FS"])
-    expected = "expectation of the embedded town"
-    return [
-        *claims,
-        Claim("Error at k = 16 at most 6 m", "9.31 m", at[16].text("m"), below(at[16], 6.0), expected),
-        Claim("Error at k = 35 at most 6 m", "9.18 m", at[35].text("m"), below(at[35], 6.0), expected),
-        Claim(
-            "The error curve is flat within 15 % from k = 24 to 128",
-            "9.18 to 10.11 m",
-            f"{curve.mean(axis=0).min():.2f} to {curve.mean(axis=0).max():.2f} m, per seed {spread.text('%', 1)}",
-            below(spread, 15.0),
-            "interval over seeds of the largest over the smallest mean error",
-        ),
-        Claim(
-            "Validation selects a prefix between 12 and 48",
-            "k = 35",
-            f"k = {results.chosen}",
-            HELD if 12 <= results.chosen <= 48 else NOT_HELD,
-            "shortest prefix within one standard error of the best, all seeds together",
-        ),
-        Claim(
-            "Front-only has at least 3 times the error of front-plus-sides on raw features",
-            "-",
-            f"{front_m.text()} m / {sides_m.text()} m, ratio {front.text()}",
-            above(front, 3.0),
-            "interval of the paired ratio at least 3",
-        ),
-    ]
-
-
 def caption(results: Results, energy_kept: float, view_dim: int) -> str:
     """What the reader of the figure needs to know."""
     return (
         f"(a) One trained model at every prefix k; selected on validation: k = {results.chosen}. (b) Serialized "
         "payload against error. (c) Errors per test frame of all seeds; box: quartiles, whiskers: 5th and 95th "
         "percentile, diamond: mean, red tick: 90th percentile. (d) Encoding after feature extraction (Jetson "
-        f"Orin NX profile) plus transmission at {LINK_KB_PER_S} KB/s. Bands are 95 % intervals over "
+        f"Orin NX profile) plus transmission at {LINK_KB_PER_S} KB/s; image codecs: transmission alone, of the "
+        f"bytes at which they reach O-VIB's error at k = {RIVAL_K}; black ticks: paper. Bands are 95 % intervals over "
         f"{len(results.outcomes)} seeds (split, initialisation, minibatches). The database holds uncompressed "
         f"reference descriptors (frozen localizer). {view_dim} principal coordinates per view keep "
         f"{100 * energy_kept:.0f} % of the feature variance."
     )
 
 
-def draw(path: Path, results: Results, host: LatencyProfile) -> None:
+def draw(path: Path, results: Results, host: LatencyProfile, codecs: Frontier | None) -> None:
     """The four panels."""
     with mpl.rc_context(fig.style()):
         figure, axes = fig.panels(2, 2, height_in=2.3)
         _draw_prefixes(axes[0], results)
-        _draw_frontier(axes[1], results)
+        _draw_frontier(axes[1], results, codecs)
         _draw_frames(axes[2], results)
-        _draw_latency(axes[3], results, host)
+        _draw_latency(axes[3], results, codecs)
         fig.save_figure(figure, path)
 
 
@@ -257,7 +152,7 @@ def _draw_prefixes(ax: Axes, results: Results) -> None:
     fig.title(ax, "a", "every rate from one model")
 
 
-def _draw_frontier(ax: Axes, results: Results) -> None:
+def _draw_frontier(ax: Axes, results: Results, codecs: Frontier | None) -> None:
     def kib(method: str, ks: np.ndarray) -> np.ndarray:
         return np.array([results.payload_bytes(method, int(k)) for k in ks]) / 1024
 
@@ -281,10 +176,12 @@ def _draw_frontier(ax: Axes, results: Results) -> None:
     )
     raw_kib = results.payload_bytes("raw", 0) / 1024
     ax.plot(raw_kib, results.mean_m("raw").mean(), "X", ms=6, color=COLOURS["raw"], label="raw features")
+    if codecs:
+        codec_cards.draw_frontier(ax, codecs)
     ax.set(xlabel="payload (KB)", ylabel="mean error (m)", xscale="log", yscale="log")
     fig.plain_log_ticks(ax.yaxis)
     fig.plain_log_ticks(ax.xaxis)
-    ax.legend(loc="upper right")
+    ax.legend(loc="upper right", ncols=2, columnspacing=1.0, handlelength=1.4)
     fig.title(ax, "b", "payload and error")
 
 
@@ -303,40 +200,30 @@ def _draw_frames(ax: Axes, results: Results) -> None:
     fig.title(ax, "c", "errors per frame")
 
 
-def _draw_latency(ax: Axes, results: Results, host: LatencyProfile) -> None:
+def _draw_latency(ax: Axes, results: Results, codecs: Frontier | None) -> None:
     rate = kbytes_per_s(LINK_KB_PER_S)
-    rows = [(f"O-VIB k={k}", k, PAPER_LATENCY_MS.get(k)) for k in sorted({16, 35, results.chosen})]
-    rows += [(f"fixed-rate K={k}", k, PAPER_LATENCY_MS[k]) for k in FIXED]
-    labels = [name for name, _, _ in rows] + ["raw features"]
-    compute = [float(compute_ms_at(JETSON, k)) for _, k, _ in rows] + [0.0]
-    sent = [1e3 * float(transmit_s(representation_bytes(k), rate)) for _, k, _ in rows]
-    sent.append(1e3 * float(transmit_s(results.payload_bytes("raw", 0), rate)))
-    y = np.arange(len(labels))
-    ax.barh(y, compute, color=fig.ORANGE, height=0.6, label="encode (Jetson)")
-    ax.barh(y, sent, left=compute, color=fig.BLUE, height=0.6, label="transmit")
-    marks = [(ms, i) for i, (_, _, ms) in enumerate(rows) if ms is not None]
-    ax.plot(*zip(*marks, strict=True), "|", ms=11, mew=1.6, color="black", label="paper")
-    for i, total in enumerate(np.add(compute, sent)):
-        ax.text(
-            total * 1.06,
-            i,
-            f"{total:.0f} ms" if total < 1000 else f"{total / 1000:.2f} s",
-            va="center",
-            fontsize=6.5,
-        )
-    for name, seconds in PAPER_CODECS_S.items():
-        ax.plot(seconds * 1e3, len(labels), "|", ms=8, mew=1.6, color="black")
-        if name in ("WebP", "H.264"):
-            ha = "right" if name == "WebP" else "left"
-            ax.text(
-                seconds * 1e3 * (0.93 if ha == "right" else 1.07),
-                len(labels),
-                name,
-                ha=ha,
-                va="center",
-                fontsize=6.5,
-            )
-    ax.set_yticks([*y, len(labels)], [*labels, "image codecs (paper)"])
+    rows: list[tuple[str, float, float, float | None]] = []  # label, encode ms, transmit ms, paper's ms
+    for name, k in (
+        *((f"O-VIB k={k}", k) for k in sorted({16, 35, results.chosen})),
+        *((f"fixed K={k}", k) for k in FIXED),
+    ):
+        sent = 1e3 * float(transmit_s(representation_bytes(k), rate))
+        rows.append((name, float(compute_ms_at(JETSON, k)), sent, PAPER_LATENCY_MS.get(k)))
+    rows.append(("raw features", 0.0, 1e3 * float(transmit_s(results.payload_bytes("raw", 0), rate)), None))
+    codec_rows = codec_cards.latency_rows(codecs, LINK_KB_PER_S)
+    rows += [(name, 0.0, ms, paper_ms) for name, ms, paper_ms in codec_rows]
+    y = np.arange(len(rows))
+    encode = np.array([row[1] for row in rows])
+    sent_ms = np.array([row[2] for row in rows])
+    ax.barh(y, encode, color=fig.ORANGE, height=0.6, label="encode (Jetson)")
+    ax.barh(y, np.where(np.isfinite(sent_ms), sent_ms, 0), left=encode, color=fig.BLUE, height=0.6, label="transmit")
+    marks = [(row[3], i) for i, row in enumerate(rows) if row[3] is not None]
+    ax.plot(*zip(*marks, strict=True), "|", ms=9, mew=1.6, color="black", label="paper")
+    for i, total in enumerate(encode + sent_ms):
+        text = f"{total:.0f} ms" if total < 1000 else f"{total / 1000:.2f} s"
+        beside = max(total, rows[i][3] or 0) if np.isfinite(total) else 9.0
+        ax.text(beside * 1.08, i, text if np.isfinite(total) else "-", va="center", fontsize=6.5)
+    ax.set_yticks(y, [row[0] for row in rows])
     ax.set(xlabel=f"latency at {LINK_KB_PER_S} KB/s (ms)", xscale="log", xlim=(8, 2e4))
     ax.invert_yaxis()
     ax.grid(visible=False, axis="y")

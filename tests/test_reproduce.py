@@ -67,6 +67,10 @@ def test_smoke_preset_makes_every_figure(tmp_path: Path, cache: Path) -> None:
     rows = check_outputs(tmp_path / "results" / "scalable_compression")
     raw = [row for row in rows if row["method"] == "raw"]
     assert {int(row["payload_bytes"]) for row in raw} == {4 * 5 * 512}
+    with (tmp_path / "results" / "scalable_compression" / "codec.csv").open() as file:
+        coded = list(csv.DictReader(file))
+    assert list(coded[0]) == ["codec", "quality", "seed", "payload_bytes", "mean_m", "p90_m"]
+    assert {row["codec"] for row in coded} >= {"jpeg"} and min(float(row["payload_bytes"]) for row in coded) > 500
     ovib = {int(row["k"]): int(row["payload_bytes"]) for row in rows if row["method"] == "ovib"}
     assert ovib[16] == 84 and ovib[35] == 160
     facts = json.loads((tmp_path / "results" / "scalable_compression" / "provenance.json").read_text())
@@ -87,6 +91,9 @@ def test_somebody_elses_feature_set(tmp_path: Path, cache: Path) -> None:
     rows = check_outputs(out / "scalable_compression")
     assert {row["seed"] for row in rows} == {"3", "4"}
     assert {int(row["k"]) for row in rows if row["method"] == "raw"} == {n_views * dim}
+    assert not (out / "scalable_compression" / "codec.csv").exists()
+    facts = json.loads((out / "scalable_compression" / "provenance.json").read_text())
+    assert "Image codecs are left out" in facts["caption"]
 
 
 def test_bad_input_is_one_line_and_exit_code_2(

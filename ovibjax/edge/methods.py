@@ -35,7 +35,7 @@ SPARSE_PREFIXES = (4, 6, 8, 12, 16, 20, 24, 28, 32, 35, 48, 64, 96, 128)
 
 _fit = jax.jit(fit, static_argnames="static")
 _judge_prefixes = jax.jit(judge_prefixes, static_argnames=("arch", "recode"))
-_judge_raw = jax.jit(judge_raw, static_argnames="arch")
+judge_raw_jit = jax.jit(judge_raw, static_argnames="arch")
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def run_method(method: str, seed: int, member: Member, effort: Effort) -> Outcom
         pca = fit_pca(member.train.x.reshape(len(member.train.x), -1), static.arch.latent)
         judged["pca"] = judge(sparse, pca=pca)
         recoded = {"ovib": judge(sparse, recode=True), "pca": judge(sparse, pca=pca, recode=True)}
-        raw = {name: _judge_raw(params, member, static.arch, mode_mask(name, views)) for name in modes_for(views)}
+        raw = {name: judge_raw_jit(params, member, static.arch, mode_mask(name, views)) for name in modes_for(views)}
         judged["raw"] = jax.tree.map(lambda x: x[None], raw[full_mode(views)])
         raw_mode_m = {name: float(jnp.mean(value.test_error_m)) for name, value in raw.items()}
     params, judged, recoded, losses = jax.device_get((params, judged, recoded, losses))

@@ -1,70 +1,40 @@
-"""Image backbones Φ by name (paper, "Feature Extraction")."""
+"""Image backbones Φ by name: `embedded`, `clip`, `clip:FOLDER` or `onnx:FILE` (paper, "Feature Extraction").
 
-import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
+Each is opened by its own module, imported when it is asked for: they stand on libraries that take seconds to load.
+"""
 
 from ovibjax.errors import InputError
+from ovibjax.features.image_encoder import Backbone, BackboneOptions
+
+__all__ = ["Backbone", "BackboneOptions", "open_backbone"]
 
 
-@dataclass(frozen=True)
-class BackboneOptions:
-    """Choices of a backbone that takes any; the embedded one takes none."""
-
-
-@dataclass(frozen=True)
-class Backbone:
-    """An image encoder Φ.
-
-    Attributes:
-        name: "embedded".
-        fingerprint: hex hash of weights and preprocessing: a resumed extraction must meet the same one.
-        preprocess: RGB [H, W, 3] uint8 to one float32 input of the network.
-        embed: inputs [B, ...] to features [B, d] float32 of any norm.
-    """
-
-    name: str
-    fingerprint: str
-    preprocess: Callable[[NDArray[np.uint8]], NDArray[np.float32]]
-    embed: Callable[[NDArray[np.float32]], NDArray[np.float32]]
-
-
-def open_backbone(spec: str, options: BackboneOptions = BackboneOptions()) -> Backbone:
+def open_backbone(spec: str, options: BackboneOptions = BackboneOptions()) -> Backbone:  # noqa: B008 (frozen)
     """Make an image backbone ready to use.
 
     Args:
-        spec: `embedded`.
-        options: choices of the backbone.
+        spec: `embedded`; `clip` (CLIP ViT-B/32 from this machine's model cache) or `clip:FOLDER`; `onnx:FILE`.
+        options: choices of an ONNX backbone.
 
     Returns:
         The backbone.
 
     Raises:
-        InputError: an unknown spec.
+        InputError: an unknown spec, options that the backbone does not take, a missing extra, or missing weights.
     """
-    if spec != "embedded":
-        raise InputError(f"backbone {spec!r} is not available; this version has: embedded")
-    import jax
-    import jax.numpy as jnp
+    kind, _, place = spec.partition(":")
+    if kind == "onnx" and place:
+        from ovibjax.features.backbone_onnx import open_onnx
 
-    from ovibjax.features.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed, embedded_backbone
+        return open_onnx(place, options)
+    if options != BackboneOptions():
+        raise InputError(f"backbone {spec!r} takes no options for size, layout, mean, std or output; onnx:FILE does")
+    if kind == "clip" and (place or ":" not in spec):
+        from ovibjax.features.backbone_clip import open_clip
 
-    weights = embedded_backbone()
-    arrays = jax.tree.map(jnp.asarray, weights)
+        return open_clip(place or None)
+    if spec == "embedded":
+        from ovibjax.features.backbone_embedded import open_embedded
 
-    def preprocess(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-        # Means over pixel areas: nothing aliases, whatever the size of the image.
-        image = Image.fromarray(rgb).resize((EMBEDDED_WIDTH_PX, EMBEDDED_HEIGHT_PX), Image.Resampling.BOX)
-        return np.asarray(image, np.float32) / np.float32(255)
-
-    def embed_all(inputs: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(embed(arrays, jnp.asarray(inputs)))
-
-    digest = hashlib.sha256(b"embedded, box")
-    for leaf in jax.tree.leaves(weights):
-        digest.update(leaf.tobytes())
-    return Backbone("embedded", digest.hexdigest(), preprocess, embed_all)
+        return open_embedded()
+    raise InputError(f"backbone {spec!r} is not one of embedded, clip, clip:FOLDER or onnx:FILE")

@@ -28,7 +28,8 @@ PAPER_FRAMES = 4994
 """Frames of the paper's single-scene split."""
 
 _CHUNK = 32  # frames per call: large enough to fill the vector units, small enough for the second-level cache
-_SOURCES = ("town.py", "route.py", "render.py", "shading.py", "pyramid.py", "embedded.py")
+SOURCES = ("town.py", "route.py", "render.py", "shading.py", "pyramid.py", "embedded.py")
+"""Code that the features of the town depend on."""
 
 OnFrames = Callable[[int, int], None]
 
@@ -36,7 +37,7 @@ OnFrames = Callable[[int, int], None]
 def cache_key(config: TownConfig, n_frames: int, route_seed: int) -> str:
     """Content hash of everything the features depend on: the description and the code that renders it."""
     digest = hashlib.sha256(repr((sorted(asdict(config).items()), n_frames, route_seed)).encode())
-    for name in _SOURCES:
+    for name in SOURCES:
         digest.update(resources.files("ovibjax.features").joinpath(name).read_bytes())
     return digest.hexdigest()[:20]
 

@@ -36,13 +36,13 @@ DEPTH_FAR_CM = 65535
 _BATCH = 2  # poses per call: more are not faster, and each takes 0.4 GB of memory
 _CANDIDATES = 6  # places looked at per context before one is shown
 # Colours of the contexts, from Okabe and Ito's palette: told apart with any colour vision.
-_COLOURS = ("#0072B2", "#E69F00", "#CC79A7")
+CONTEXT_COLOURS = ("#0072B2", "#E69F00", "#CC79A7")
 _INK = "#222222"
 # Layout of the picture in pixels.
 _CELL_W, _CELL_H, _GAP, _MARGIN, _HEADER, _LABEL = 236, 177, 6, 14, 40, 44
 
 
-def _render_frames(town: Town, route: Route, frames: NDArray[np.int64]) -> Iterator[tuple[int, Views]]:
+def render_frames(town: Town, route: Route, frames: NDArray[np.int64]) -> Iterator[tuple[int, Views]]:
     """Each listed frame with its views, [M, H, W] NumPy arrays, rendered in batches of one size."""
     # A small town has fewer buildings than the camera keeps.
     n_boxes, n_trees = len(town.boxes), len(town.trees)
@@ -177,7 +177,7 @@ def write_frames(
             folder.mkdir(parents=True, exist_ok=True)
         _write_calibration(calibration, _calibration(town_config, n_frames, seed))
         todo = np.array([frame for frame in range(n_frames) if not is_finished(frame)], np.int64)
-        for done, (frame, views) in enumerate(_render_frames(town, route, todo), n_frames - len(todo) + 1):
+        for done, (frame, views) in enumerate(render_frames(town, route, todo), n_frames - len(todo) + 1):
             write(frame, views)
             if on_frame is not None:
                 on_frame(done, n_frames)
@@ -225,9 +225,9 @@ def contact_sheet(town_config: TownConfig, path: StrPath, seed: int = 0) -> None
         write_text(left + column * (_CELL_W + _GAP) + _CELL_W / 2, _HEADER / 2, view)
     for row, (frame, views) in enumerate(_pick_frames(town, route, context)):
         y, code = _HEADER + row * (_CELL_H + _GAP), int(context[frame])
-        _draw_pose(axes, route, frame, _COLOURS[code])
+        _draw_pose(axes, route, frame, CONTEXT_COLOURS[code])
         write_text(left - 28, y + _CELL_H / 2, CONTEXTS[code], rotation=90)
-        axes_at(left - 13, y, 7, _CELL_H).set(facecolor=_COLOURS[code])
+        axes_at(left - 13, y, 7, _CELL_H).set(facecolor=CONTEXT_COLOURS[code])
         for column in range(len(VIEWS)):
             axes_at(left + column * (_CELL_W + _GAP), y, _CELL_W, _CELL_H).imshow(views.rgb[column], aspect="auto")
     stream = io.BytesIO()
@@ -246,7 +246,7 @@ def _pick_frames(town: Town, route: Route, context: NDArray[np.int32]) -> list[t
     for code in range(len(CONTEXTS)):
         mine = np.flatnonzero(context[starts] == code)
         longest = mine[np.argsort(starts[mine] - stops[mine], kind="stable")][:_CANDIDATES]
-        seen = list(_render_frames(town, route, (starts[longest] + stops[longest]) // 2))
+        seen = list(render_frames(town, route, (starts[longest] + stops[longest]) // 2))
         if seen:
             shown.append(max(seen, key=lambda item: _contrast(item[1])))
     return shown
@@ -284,7 +284,7 @@ def _draw_plan(axes: Axes, town: Town, route: Route, context: NDArray[np.int32],
     crowns.set(offset_transform=axes.transData, facecolor="#8fae74", linewidth=0)
     axes.add_collection(crowns)
     xy = route.positions_m[:, :2]
-    colours = [_COLOURS[code] for code in context[:-1].tolist()]
+    colours = [CONTEXT_COLOURS[code] for code in context[:-1].tolist()]
     axes.add_collection(LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), colors=colours, linewidths=1.6))
     _draw_furniture(axes, half_m)
 

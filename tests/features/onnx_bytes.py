@@ -1,0 +1,61 @@
+"""Tiny ONNX models written byte by byte, so that the tests need no further package (onnx.proto has the numbers)."""
+
+import numpy as np
+
+FLOAT, INT64 = 1, 7
+
+
+def _varint(number: int) -> bytes:
+    out = bytearray()
+    while True:
+        number, low = number >> 7, number & 0x7F
+        out.append(low | (0x80 if number else 0))
+        if not number:
+            return bytes(out)
+
+
+def _field(number: int, value: int | str | bytes) -> bytes:
+    if isinstance(value, int):
+        return _varint(number << 3) + _varint(value)
+    content = value.encode() if isinstance(value, str) else value
+    return _varint(number << 3 | 2) + _varint(len(content)) + content
+
+
+def _value(name: str, shape: tuple[int | str, ...], kind: int = FLOAT) -> bytes:
+    dims = b"".join(_field(1, _field(1 if isinstance(n, int) else 2, n)) for n in shape)
+    return _field(1, name) + _field(2, _field(1, _field(1, kind) + _field(2, dims)))
+
+
+def _node(op: str, inputs: tuple[str, ...], output: str) -> bytes:
+    return b"".join(_field(1, name) for name in inputs) + _field(2, output) + _field(4, op)
+
+
+def _tensor(name: str, array: np.ndarray) -> bytes:
+    dims = b"".join(_field(1, n) for n in array.shape)
+    return dims + _field(2, FLOAT) + _field(8, name) + _field(9, array.astype("<f4").tobytes())
+
+
+def model(nodes, weights, inputs, outputs) -> bytes:
+    """A model from (op, inputs, output) nodes, named weights, and (name, shape[, kind]) inputs and outputs."""
+    graph = b"".join(_field(1, _node(*node)) for node in nodes) + _field(2, "g")
+    graph += b"".join(_field(5, _tensor(name, array)) for name, array in weights.items())
+    graph += b"".join(_field(11, _value(*entry)) for entry in inputs)
+    graph += b"".join(_field(12, _value(*entry)) for entry in outputs)
+    return _field(1, 8) + _field(7, graph) + _field(8, _field(2, 13))
+
+
+def pooled_product(weight: np.ndarray, shape: tuple[int | str, ...] = ("n", 3, "h", "w")) -> bytes:
+    """Channel means times a matrix; outputs in order: map [N, 3, 1, 1], pooled [N, 3], feature [N, d]."""
+    nodes = [
+        ("GlobalAveragePool", ("image",), "map"),
+        ("Flatten", ("map",), "pooled"),
+        ("MatMul", ("pooled", "weight"), "feature"),
+    ]
+    outputs = [("map", (shape[0], 3, 1, 1)), ("pooled", (shape[0], 3)), ("feature", (shape[0], weight.shape[1]))]
+    return model(nodes, {"weight": weight}, [("image", shape)], outputs)
+
+
+def flat_product(weight: np.ndarray, shape: tuple[int | str, ...]) -> bytes:
+    """All pixels times a matrix, [N, d]."""
+    nodes = [("Flatten", ("image",), "flat"), ("MatMul", ("flat", "weight"), "feature")]
+    return model(nodes, {"weight": weight}, [("image", shape)], [("feature", (shape[0], weight.shape[1]))])
