@@ -39,7 +39,7 @@ def town(tmp_path_factory):
     """Frames of the embedded town, written by what `ovibjax town` writes with."""
     root = tmp_path_factory.mktemp("town") / "town"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(town_files, "_render_frames", painted)
+        patch.setattr(town_files, "render_frames", painted)
         town_files.write_frames(CONFIG, root, N_FRAMES, SEED)
     return root
 
