@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.edge.index import NO_ROW, TILE_STEP, Index, build_index, normalize
+from ovibjax.edge.index import NO_ROW, ROW_STEP, TILE_STEP, Index, build_index, normalize
 
 __all__ = ["Found", "Index", "brute_force", "build_index", "coarse_to_fine", "normalize", "search"]
 
@@ -145,18 +145,23 @@ def _search_block(query: jax.Array, n: jax.Array, index: Index, scenes: int, til
     def one_query(item: tuple[jax.Array, jax.Array]) -> jax.Array:
         q, kept = item
 
-        def one_page(page: jax.Array, best: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            row = index.page_row[page]
-            similarity = jnp.where(row == NO_ROW, -jnp.inf, index.pages[page] @ q)
-            top = jnp.max(similarity)
-            first = jnp.min(jnp.where(similarity == top, row, NO_ROW))
-            better = (top > best[0]) | ((top == best[0]) & (first < best[1]))
-            return jnp.where(better, top, best[0]), jnp.where(better, first, best[1])
-
         def one_tile(slot: jax.Array, best: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             tile = kept[slot]
-            first, last = index.tile_page[tile], jnp.where(tile < 0, 0, index.tile_page[tile + 1])
-            return jax.lax.fori_loop(first, last, one_page, best)
+            first = index.tile_start[tile]
+            last = jnp.where(tile < 0, first, index.tile_start[tile + 1])
+
+            def one_step(k: jax.Array, best: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+                at = first + k * ROW_STEP
+                rows = jax.lax.dynamic_slice_in_dim(index.row, at, ROW_STEP)
+                here = at + jnp.arange(ROW_STEP, dtype=jnp.int32) < last
+                similarity = jax.lax.dynamic_slice_in_dim(index.descriptor, at, ROW_STEP) @ q
+                similarity = jnp.where(here, similarity, -jnp.inf)
+                top = jnp.max(similarity)
+                lowest = jnp.min(jnp.where(here & (similarity == top), rows, NO_ROW))
+                better = (top > best[0]) | ((top == best[0]) & (lowest < best[1]))
+                return jnp.where(better, top, best[0]), jnp.where(better, lowest, best[1])
+
+            return jax.lax.fori_loop(0, (last - first + ROW_STEP - 1) // ROW_STEP, one_step, best)
 
         return jax.lax.fori_loop(0, tiles, one_tile, (jnp.float32(-jnp.inf), jnp.int32(NO_ROW)))[1]
 
@@ -167,20 +172,24 @@ def _search_block(query: jax.Array, n: jax.Array, index: Index, scenes: int, til
 
 def _rank_tiles(query: jax.Array, n: jax.Array, index: Index, kept_scenes: jax.Array, tiles: int) -> jax.Array:
     """[block, tiles] most similar tiles of the kept scenes, -1 where there are no more."""
-    (block, scenes), n_tiles = kept_scenes.shape, index.tile_prototype.shape[0]
+    (block, scenes), n_scenes, n_tiles = (
+        kept_scenes.shape,
+        index.scene_prototype.shape[0],
+        index.tile_prototype.shape[0],
+    )
     slots = index.tile_slots.shape[0]
     occupied = index.tile_size > 0
     if _DENSE * scenes * slots >= n_tiles:
         similarity = query @ index.tile_prototype.T
-        scene_kept = jnp.zeros((block, index.scene_prototype.shape[0]), bool)
-        scene_kept = scene_kept.at[jnp.arange(block)[:, None], kept_scenes].set(True)
         tile = jnp.broadcast_to(jnp.arange(n_tiles, dtype=jnp.int32)[None], similarity.shape)
-        # A padded tile asks for the last scene, and is not occupied.
-        real = scene_kept[:, index.tile_scene] & occupied[None]
+        real = jnp.broadcast_to(occupied[None], similarity.shape)
+        if scenes < n_scenes:
+            scene_kept = jnp.zeros((block, n_scenes), bool).at[jnp.arange(block)[:, None], kept_scenes].set(True)
+            real &= scene_kept[:, index.tile_scene]  # a padded tile asks for the last scene, and is not occupied
     else:
         similarity = _read_tiles(query, n, index, kept_scenes)
-        first, last = index.scene_tile[kept_scenes], index.scene_tile[kept_scenes + 1]
-        tile = (first[..., None] + jnp.arange(slots, dtype=jnp.int32)).reshape(block, -1)
+        first, last = index.scene_start[kept_scenes], index.scene_start[kept_scenes + 1]
+        tile = (first[..., None] + jnp.arange(slots, dtype=jnp.int32)[None, None]).reshape(block, -1)
         real = (tile < jnp.repeat(last, slots, axis=1)) & occupied[jnp.minimum(tile, n_tiles - 1)]
     keep = min(tiles, similarity.shape[1])
     value, place = jax.lax.top_k(jnp.where(real, similarity, -jnp.inf), keep)
@@ -197,8 +206,8 @@ def _read_tiles(query: jax.Array, n: jax.Array, index: Index, kept_scenes: jax.A
         q, kept, asked = item
 
         def one_scene(slot: jax.Array, out: jax.Array) -> jax.Array:
-            first = index.scene_tile[kept[slot]]
-            last = jnp.where(asked, index.scene_tile[kept[slot] + 1], first)
+            first = index.scene_start[kept[slot]]
+            last = jnp.where(asked, index.scene_start[kept[slot] + 1], first)
 
             def one_step(k: jax.Array, out: jax.Array) -> jax.Array:
                 rows = jax.lax.dynamic_slice_in_dim(index.tile_prototype, first + k * step, step)

@@ -33,8 +33,9 @@ def recombine(
     """Scenes whose views come from drives of their own: front from one, back from another, each moving frame by frame.
 
     A descriptor is the sum of what its views contribute, so every view is a real one and neighbours are as alike as
-    real neighbours, unlike noise, in which prototypes mean nothing; yet no place is in two scenes. The geometry is
-    that of the front view. Every other frame is a reference, queries are drawn from those in between.
+    real neighbours, unlike noise, in which prototypes mean nothing; yet no place is in two scenes. A scene is laid
+    out along a line, at the distances that the front view moved. Every other frame is a reference, queries are drawn
+    from those in between.
 
     Args:
         seed: the draw.
@@ -52,7 +53,7 @@ def recombine(
     ends = np.cumsum(asked)
     made = Database(
         np.zeros((n, dim), np.float32),
-        np.empty((n, 2), np.float32),
+        np.zeros((n, 2), np.float32),
         (np.arange(n) // SCENE_FRAMES).astype(np.int32),
         np.zeros((queries, dim), np.float32),
         np.repeat(np.arange(n_scenes), asked).astype(np.int32),
@@ -67,7 +68,8 @@ def recombine(
             made.reference[rows] += drives[drive][frames[kept], view]
             made.query[ends[s] - asked[s] : ends[s]] += drives[drive][frames[between], view]
             if view == 0:
-                made.position_m[rows] = positions_m[drive][frames[kept], :2]
+                moved_m = np.linalg.norm(np.diff(positions_m[drive][frames, :2], axis=0), axis=1)
+                made.position_m[rows, 0] = np.concatenate([[0.0], np.cumsum(moved_m)])[kept]
     return made
 
 
