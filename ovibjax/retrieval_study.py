@@ -215,7 +215,7 @@ def time_growth(
             {"brute": (brute, data.query), "fine_2": (two, data.query), "fine_all": (full, data.query)}, repeats
         )
         row = {name: min(values) for name, values in times.items()}
-        recall = float(np.mean(np.asarray(full(data.query)) == np.asarray(brute(data.query))))
+        recall = float(np.mean(np.asarray(full(jnp.asarray(data.query))) == np.asarray(brute(data.query))))
         rows.append({"n": float(n), **row, "recall": recall})
         tick()
     return rows

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -74,7 +75,7 @@ PRESETS = {
     "smoke": Preset(2, 240, 24, 1, 2, 60, (10.0, 30.0), (1_000, 2_000), 1),
     "quick": Preset(5, FRAMES, QUERIES, 2, 5, 2000, (5.0, 10.0, 20.0, 30.0), (5_000, 20_000, 100_000), 3),
     "full": Preset(
-        FRAMES, QUERIES, 5, 20, 4000, (5.0, 7.5, 10.0, 15.0, 20.0, 30.0), (5_000, 30_000, 200_000, 1_000_000), 3
+        5, FRAMES, QUERIES, 5, 20, 4000, (5.0, 7.5, 10.0, 15.0, 20.0, 30.0), (5_000, 30_000, 200_000, 1_000_000), 3
     ),
 }
 
@@ -153,7 +154,7 @@ def measure(job: Job, preset: Preset) -> Found:
                 rows.append(judge_draw(world, seed, queries, PREFIX, edge, range(1, n_scenes + 1), TILE_COUNTS))
                 done += 1
                 update(done, len(preset.edges) * (preset.tuning + preset.draws))
-            return Pruning(*(np.stack(field) for field in zip(*rows, strict=True)))
+            return jax.tree.map(lambda *draws: np.stack(draws), *rows)
 
         tuned = {edge: over(tuning, edge) for edge in preset.edges}
         grid = {edge: over(seeds, edge) for edge in preset.edges}
@@ -187,7 +188,7 @@ def choose(tuned: dict[float, Pruning], scenes: Sequence[int], tiles: Sequence[i
 
 def _at_prefix(world: World, seeds: Sequence[int], queries: int, k: int, point: Point) -> Pruning:
     rows = [judge_draw(world, seed, queries, k, point[2], [point[0]], [point[1]]) for seed in seeds]
-    return Pruning(*(np.stack(field)[:, 0, 0] for field in zip(*rows, strict=True)))
+    return jax.tree.map(lambda *draws: np.stack(draws)[:, 0, 0], *rows)
 
 
 def table_rows(found: Found) -> list[dict[str, Any]]:

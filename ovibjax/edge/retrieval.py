@@ -101,13 +101,12 @@ def search(query: jax.Array, index: Index, scenes: int = 2, tiles: int = 12) -> 
     room = 1 << max(n - 1, 0).bit_length()
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in (query, *index))
     if traced:
-        padded = jnp.pad(jnp.asarray(query), ((0, room - n), (0, 0)))
-    else:  # on the host: a slice or a pad of every size would be a program of its own
-        padded = np.zeros((room, query.shape[1]), np.float32)
-        padded[:n] = query
-    found = _search(padded, jnp.int32(n), index, scenes, tiles)
-    if traced:
+        found = _search(jnp.pad(query, ((0, room - n), (0, 0))), jnp.int32(n), index, scenes, tiles)
         return jax.tree.map(lambda field: field[:n], found)
+    # On the host: a pad or a slice of every size would be a program of its own.
+    padded = np.zeros((room, query.shape[1]), np.float32)
+    padded[:n] = query
+    found = _search(jnp.asarray(padded), jnp.int32(n), index, scenes, tiles)
     return jax.tree.map(lambda field: jnp.asarray(np.asarray(field)[:n]), found)
 
 
