@@ -107,6 +107,8 @@ def search(query: jax.Array, index: Index, scenes: int = 2, tiles: int = 12) -> 
     padded = np.zeros((room, query.shape[1]), np.float32)
     padded[:n] = query
     found = _search(jnp.asarray(padded), jnp.int32(n), index, scenes, tiles)
+    if n == room:
+        return found
     return jax.tree.map(lambda field: jnp.asarray(np.asarray(field)[:n]), found)
 
 
