@@ -1,15 +1,41 @@
-"""Nearest-neighbour retrieval by cosine similarity against the geo-tagged database (paper, "System Architecture")."""
+"""Nearest-neighbour retrieval by cosine similarity against the geo-tagged database (paper, "System Architecture").
+
+`brute_force` compares a query with every row. `coarse_to_fine` compares it with scene prototypes, then with the tile
+prototypes of the scenes it keeps, and then with the descriptors of the tiles it keeps. On a CPU the fine search is
+bound by memory: it reads each kept page once, in place, and the work follows the true sizes of scenes and tiles.
+"""
+
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-_BLOCK = 8192
+from ovibjax.edge.index import NO_ROW, ROW_STEP, TILE_STEP, Index, build_index, normalize
+
+__all__ = ["Found", "Index", "brute_force", "build_index", "coarse_to_fine", "normalize", "search"]
+
+_BLOCK_PAIRS = 1 << 27
+_SEARCH_BLOCK = 256
+# A product over all tiles runs at the speed of arithmetic, reading a query's own tiles at that of memory.
+_DENSE = 4
 
 
-def normalize(rows: jax.Array) -> jax.Array:
-    """Rows [..., d] scaled to unit norm; a zero row stays zero."""
-    norm = jnp.sqrt(jnp.sum(rows**2, axis=-1, keepdims=True))
-    return rows / jnp.where(norm > 0, norm, 1.0)
+class Found(NamedTuple):
+    """Outcome of a coarse-to-fine search, and what the pruning kept.
+
+    Attributes:
+        row: [Q] int32 most similar row among those searched.
+        scenes: [Q, scenes] int32 scenes kept, ascending.
+        tiles: [Q, tiles] int32 tiles kept, most similar first; -1 where the kept scenes have no more.
+        searched: [Q] int32 descriptors compared in the fine search.
+    """
+
+    row: jax.Array
+    scenes: jax.Array
+    tiles: jax.Array
+    searched: jax.Array
 
 
 def brute_force(query: jax.Array, db: jax.Array) -> jax.Array:
@@ -25,6 +51,171 @@ def brute_force(query: jax.Array, db: jax.Array) -> jax.Array:
         [Q] int32 rows of `db`. Memory is bounded by blocks of queries.
     """
     reference = normalize(db)
-    if query.shape[0] <= _BLOCK:
+    block = max(1, _BLOCK_PAIRS // reference.shape[0])
+    if query.shape[0] <= block:
         return jnp.argmax(query @ reference.T, axis=1).astype(jnp.int32)
-    return jax.lax.map(lambda q: jnp.argmax(reference @ q), query, batch_size=_BLOCK).astype(jnp.int32)
+    return jax.lax.map(lambda q: jnp.argmax(reference @ q), query, batch_size=block).astype(jnp.int32)
+
+
+def coarse_to_fine(query: jax.Array, index: Index, scenes: int = 2, tiles: int = 12) -> jax.Array:
+    """Most similar database row of each query among the most similar tiles of the most similar scenes.
+
+    Args:
+        query: [Q, d] descriptors; their scale does not matter.
+        index: the database, from `build_index`.
+        scenes: scene prototypes kept per query.
+        tiles: tile prototypes kept per query, over all its scenes.
+
+    Returns:
+        [Q] int32 rows of the database; equal similarities go to the lower row, scene or tile. With every scene and
+        tile kept, what `brute_force` returns (to the rounding of a similarity, where two are equal but for that).
+
+    Raises:
+        ValueError: `scenes` or `tiles` below one.
+    """
+    return search(query, index, scenes, tiles).row
+
+
+def search(query: jax.Array, index: Index, scenes: int = 2, tiles: int = 12) -> Found:
+    """`coarse_to_fine` with a record of what was kept and how much was searched.
+
+    All queries are one compiled call, and batches of all sizes share a program per power of two.
+
+    Args:
+        query: as in `coarse_to_fine`.
+        index: as in `coarse_to_fine`.
+        scenes: as in `coarse_to_fine`.
+        tiles: as in `coarse_to_fine`.
+
+    Returns:
+        Outcome of each query. Memory beside the index is bounded by blocks of queries.
+
+    Raises:
+        ValueError: `scenes` or `tiles` below one.
+    """
+    if scenes < 1 or tiles < 1:
+        raise ValueError(f"scenes = {scenes}, tiles = {tiles}: keep at least one of each")
+    n = query.shape[0]
+    scenes = min(scenes, index.scene_prototype.shape[0])
+    tiles = min(tiles, index.tile_prototype.shape[0])
+    room = 1 << max(n - 1, 0).bit_length()
+    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in (query, *index))
+    if traced:
+        found = _search(jnp.pad(query, ((0, room - n), (0, 0))), jnp.int32(n), index, scenes, tiles)
+        return jax.tree.map(lambda field: field[:n], found)
+    # On the host: a pad or a slice of every size would be a program of its own.
+    padded = np.zeros((room, query.shape[1]), np.float32)
+    padded[:n] = query
+    found = _search(jnp.asarray(padded), jnp.int32(n), index, scenes, tiles)
+    if n == room:
+        return found
+    return jax.tree.map(lambda field: jnp.asarray(np.asarray(field)[:n]), found)
+
+
+@partial(jax.jit, static_argnames=("scenes", "tiles"))
+def _search(query: jax.Array, n: jax.Array, index: Index, scenes: int, tiles: int) -> Found:
+    """The first n queries, block after block; the rest of the output stays as it began."""
+    room = query.shape[0]
+    block = min(room, _SEARCH_BLOCK)
+
+    def one_block(b: jax.Array, found: Found) -> Found:
+        start = b * block
+        part = _search_block(
+            jax.lax.dynamic_slice_in_dim(query, start, block), jnp.minimum(n - start, block), index, scenes, tiles
+        )
+        return jax.tree.map(
+            lambda whole, piece: jax.lax.dynamic_update_slice_in_dim(whole, piece, start, 0), found, part
+        )
+
+    nothing = Found(
+        jnp.full(room, NO_ROW, jnp.int32),
+        jnp.full((room, scenes), -1, jnp.int32),
+        jnp.full((room, tiles), -1, jnp.int32),
+        jnp.zeros(room, jnp.int32),
+    )
+    return jax.lax.fori_loop(0, (n + block - 1) // block, one_block, nothing)
+
+
+def _search_block(query: jax.Array, n: jax.Array, index: Index, scenes: int, tiles: int) -> Found:
+    block = query.shape[0]
+    kept_scenes = jnp.sort(jax.lax.top_k(query @ index.scene_prototype.T, scenes)[1], axis=1)
+    # Rows of the padding keep no tile, and cost nothing below.
+    asked = jnp.arange(block)[:, None] < n
+    kept_tiles = jnp.where(asked, _rank_tiles(query, n, index, kept_scenes, tiles), -1)
+
+    def one_query(item: tuple[jax.Array, jax.Array]) -> jax.Array:
+        q, kept = item
+
+        def one_tile(slot: jax.Array, best: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            tile = kept[slot]
+            first = index.tile_start[tile]
+            last = jnp.where(tile < 0, first, index.tile_start[tile + 1])
+
+            def one_step(k: jax.Array, best: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+                at = first + k * ROW_STEP
+                rows = jax.lax.dynamic_slice_in_dim(index.row, at, ROW_STEP)
+                here = at + jnp.arange(ROW_STEP, dtype=jnp.int32) < last
+                similarity = jax.lax.dynamic_slice_in_dim(index.descriptor, at, ROW_STEP) @ q
+                similarity = jnp.where(here, similarity, -jnp.inf)
+                top = jnp.max(similarity)
+                lowest = jnp.min(jnp.where(here & (similarity == top), rows, NO_ROW))
+                better = (top > best[0]) | ((top == best[0]) & (lowest < best[1]))
+                return jnp.where(better, top, best[0]), jnp.where(better, lowest, best[1])
+
+            return jax.lax.fori_loop(0, (last - first + ROW_STEP - 1) // ROW_STEP, one_step, best)
+
+        return jax.lax.fori_loop(0, tiles, one_tile, (jnp.float32(-jnp.inf), jnp.int32(NO_ROW)))[1]
+
+    rows = jax.lax.map(one_query, (query, kept_tiles))
+    searched = jnp.sum(jnp.where(kept_tiles < 0, 0, index.tile_size[kept_tiles]), axis=1)
+    return Found(rows, kept_scenes, kept_tiles, searched)
+
+
+def _rank_tiles(query: jax.Array, n: jax.Array, index: Index, kept_scenes: jax.Array, tiles: int) -> jax.Array:
+    """[block, tiles] most similar tiles of the kept scenes, -1 where there are no more."""
+    (block, scenes), n_scenes, n_tiles = (
+        kept_scenes.shape,
+        index.scene_prototype.shape[0],
+        index.tile_prototype.shape[0],
+    )
+    slots = index.tile_slots.shape[0]
+    occupied = index.tile_size > 0
+    if _DENSE * scenes * slots >= n_tiles:
+        similarity = query @ index.tile_prototype.T
+        tile = jnp.broadcast_to(jnp.arange(n_tiles, dtype=jnp.int32)[None], similarity.shape)
+        real = jnp.broadcast_to(occupied[None], similarity.shape)
+        if scenes < n_scenes:
+            scene_kept = jnp.zeros((block, n_scenes), bool).at[jnp.arange(block)[:, None], kept_scenes].set(True)
+            real &= scene_kept[:, index.tile_scene]  # a padded tile asks for the last scene, and is not occupied
+    else:
+        similarity = _read_tiles(query, n, index, kept_scenes)
+        first, last = index.scene_start[kept_scenes], index.scene_start[kept_scenes + 1]
+        tile = (first[..., None] + jnp.arange(slots, dtype=jnp.int32)[None, None]).reshape(block, -1)
+        real = (tile < jnp.repeat(last, slots, axis=1)) & occupied[jnp.minimum(tile, n_tiles - 1)]
+    keep = min(tiles, similarity.shape[1])
+    value, place = jax.lax.top_k(jnp.where(real, similarity, -jnp.inf), keep)
+    best = jnp.where(value > -jnp.inf, jnp.take_along_axis(tile, place, axis=1), -1)
+    return jnp.pad(best, ((0, 0), (0, tiles - keep)), constant_values=-1)
+
+
+def _read_tiles(query: jax.Array, n: jax.Array, index: Index, kept_scenes: jax.Array) -> jax.Array:
+    """[block, scenes * slots] similarities with the tile prototypes of the kept scenes, read some at a time."""
+    slots, step = index.tile_slots.shape[0], TILE_STEP
+    scenes = kept_scenes.shape[1]
+
+    def one_query(item: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+        q, kept, asked = item
+
+        def one_scene(slot: jax.Array, out: jax.Array) -> jax.Array:
+            first = index.scene_start[kept[slot]]
+            last = jnp.where(asked, index.scene_start[kept[slot] + 1], first)
+
+            def one_step(k: jax.Array, out: jax.Array) -> jax.Array:
+                rows = jax.lax.dynamic_slice_in_dim(index.tile_prototype, first + k * step, step)
+                return jax.lax.dynamic_update_slice(out, rows @ q, (slot * slots + k * step,))
+
+            return jax.lax.fori_loop(0, (last - first + step - 1) // step, one_step, out)
+
+        return jax.lax.fori_loop(0, scenes, one_scene, jnp.zeros(scenes * slots, jnp.float32))
+
+    return jax.lax.map(one_query, (query, kept_scenes, jnp.arange(query.shape[0]) < n))

@@ -40,3 +40,37 @@ def cosines(query, db):
 def retrieve(query, db):
     """Most similar row of each query, first of equals."""
     return np.array([int(np.argmax(row)) for row in cosines(query, db)])
+
+
+def unit(rows):
+    """Rows over their norms; a zero row stays zero."""
+    rows = np.asarray(rows, np.float64)
+    norms = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.divide(rows, norms, out=np.zeros_like(rows), where=norms > 0)
+
+
+def coarse_to_fine(query, db, tile, scene, scenes, tiles):
+    """Scenes by prototype, tiles of these by prototype, rows of these; lower scene, tile and row first among equals.
+
+    `tile` and `scene` number the rows' tiles and scenes from 0. Returns rows, kept scenes and kept tiles per query.
+    """
+    rows, reference = unit(query), unit(db)
+    prototypes = {}
+    for s in sorted(set(scene.tolist())):
+        members = [i for i in range(len(db)) if scene[i] == s]
+        inside = {t: [i for i in members if tile[i] == t] for t in sorted({int(tile[i]) for i in members})}
+        prototypes[s] = (unit([reference[members].mean(axis=0)])[0], inside)
+    tile_mean = {
+        t: unit([reference[r].mean(axis=0)])[0] for _, inside in prototypes.values() for t, r in inside.items()
+    }
+    found, kept_scenes, kept_tiles = [], [], []
+    for q in rows:
+        best = sorted(prototypes, key=lambda s: (-round(float(prototypes[s][0] @ q), 12), s))[:scenes]
+        inside = {t: r for s in best for t, r in prototypes[s][1].items()}
+        chosen = sorted(inside, key=lambda t: (-round(float(tile_mean[t] @ q), 12), t))[:tiles]
+        searched = sorted(i for t in chosen for i in inside[t])
+        similarity = [round(float(reference[i] @ q), 12) for i in searched]
+        found.append(searched[similarity.index(max(similarity))])
+        kept_scenes.append(sorted(best))
+        kept_tiles.append(chosen)
+    return np.array(found), kept_scenes, kept_tiles
