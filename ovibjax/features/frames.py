@@ -15,6 +15,8 @@ CONTEXTS: tuple[str, ...] = ("corridor", "intersection", "repetitive")
 """Scene contexts in label order (paper, Section "VOI-Guided Request and Mode Selection")."""
 MIN_FRAMES = 200
 """Fewest frames worth splitting: 15 percent of them are 30 validation frames."""
+MIN_REFERENCES, MIN_QUERIES = 20, 5
+"""Fewest frames of the motion-capture protocol: five spatial folds of four references each, and a few queries."""
 
 _KIND_NAMES = {"iuf": "real numbers", "iu": "integers", "U": "text", "iuU": "text or integers"}
 _NORM_TOLERANCE = 1e-6  # float32 rounding of a unit vector stays within 1e-7

@@ -19,7 +19,7 @@ DECOR_COLUMNS: tuple[str, ...] = ("face", "u0", "v0", "u1", "v1", "red", "green"
 """Columns of `Room.decor`: rectangles on a face of the room."""
 
 FACES: tuple[str, ...] = ("+x", "-x", "+y", "-y", "floor", "ceiling")
-"""Faces of the room in the order of their codes; walls have u along the wall and v = z, floor and ceiling u = x, v = y."""
+"""Faces of the room in the order of their codes; u runs along a wall and v = z, on floor and ceiling u = x, v = y."""
 
 KINDS: tuple[str, ...] = ("poster", "window", "door", "board", "curtain", "rug", "lamp", "tape")
 """Kinds of decoration, in the order of their codes."""
@@ -142,7 +142,8 @@ def _product(rng: np.random.Generator) -> np.ndarray:
     width = rng.uniform(0.55, 0.9)
     height = rng.uniform(1.3, 2.0) if look == LOOKS.index("books") else rng.uniform(0.6, 1.0)
     colour = _WOOD[rng.integers(len(_WOOD))] * rng.uniform(0.85, 1.1)
-    return np.array([width, rng.uniform(0.26, 0.38), height, *np.clip(colour, 0.05, 0.95), look, rng.uniform(0.24, 0.36)])
+    depth, scale = rng.uniform(0.26, 0.38), rng.uniform(0.24, 0.36)
+    return np.array([width, depth, height, *np.clip(colour, 0.05, 0.95), look, scale])
 
 
 def _against(config: RoomConfig, face: int, u: tuple[float, float], depth: tuple[float, float]) -> np.ndarray:

@@ -13,8 +13,8 @@ from ovibjax.features.render import VIEW_YAW_DEG
 from ovibjax.features.room import Room, RoomConfig
 
 LANE_GAP_M = 1.25
-"""Distance between reference lanes; set once so that the mean distance of a query to its nearest reference lies near the
-paper's 0.32 m, before anything was localized."""
+"""Distance between reference lanes; set once, before anything was localized, so that the mean distance of a query to
+its nearest reference lies near the paper's 0.32 m."""
 
 _WALL_CLEARANCE_M = 0.42
 _FURNITURE_CLEARANCE_M = 0.16
@@ -45,7 +45,9 @@ class Drive(NamedTuple):
     view_pitch_rad: np.ndarray
 
 
-def is_free(room: Room, config: RoomConfig, xy_m: np.ndarray, clearance_m: float = _FURNITURE_CLEARANCE_M) -> np.ndarray:
+def is_free(
+    room: Room, config: RoomConfig, xy_m: np.ndarray, clearance_m: float = _FURNITURE_CLEARANCE_M
+) -> np.ndarray:
     """Whether a platform may stand at points: away from walls, and from furniture near the camera's height.
 
     Args:
@@ -119,7 +121,7 @@ def query_drive(room: Room, config: RoomConfig) -> Drive:
 
 
 def _stops(rng: np.random.Generator, room: Room, config: RoomConfig, path: np.ndarray, n: int) -> Drive:
-    """n poses at equal distances on the free part of a path, and where each of their views was taken."""
+    """Poses at equal distances on the free part of a path, and where each of their views was taken."""
     path = path[is_free(room, config, path)]
     xy = path[np.linspace(0, len(path) - 1, n).round().astype(int)]
     shifted = xy + np.clip(rng.normal(0, _LATERAL_M, (n, 2)), -0.12, 0.12)

@@ -21,7 +21,7 @@ from ovibjax.threads import in_threads
 
 _CHUNK = 20  # views per call
 _SOURCES = (
-    *("room.py", "room_drive.py", "room_features.py", "interior.py"),
+    *("room.py", "room_drive.py", "room_features.py", "interior.py", "interior_shading.py"),
     *("render.py", "shading.py", "backbone.py"),
 )
 
@@ -36,7 +36,9 @@ def cache_key(config: RoomConfig) -> str:
     return digest.hexdigest()[:20]
 
 
-def rooms_features(configs: Sequence[RoomConfig], on_rooms: OnRooms | None = None) -> list[tuple[FeatureSet, FeatureSet]]:
+def rooms_features(
+    configs: Sequence[RoomConfig], on_rooms: OnRooms | None = None
+) -> list[tuple[FeatureSet, FeatureSet]]:
     """References and queries of several rooms, rendered side by side where the cache has none.
 
     Args:
