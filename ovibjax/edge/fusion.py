@@ -43,23 +43,27 @@ def spatial_folds(positions: np.ndarray, n: int = FOLDS) -> np.ndarray:
     xy = np.asarray(positions, np.float64)[:, :2]
     if not 1 <= n <= len(xy):
         raise ValueError(f"{len(xy)} positions cannot be dealt to {n} folds")
+    count = n * max(1, round(len(xy) / (_BLOCK_FRAMES * n)))
+    # Block b holds ends[b + 1] - ends[b] frames: sizes differ by one at most.
+    ends = np.arange(count + 1) * len(xy) // count
     blocks: list[np.ndarray] = []
 
-    def halve(rows: np.ndarray, parts: int) -> None:
-        if parts == 1:
+    def halve(rows: np.ndarray, first: int, stop: int) -> None:
+        if stop - first == 1:
             blocks.append(rows)
             return
         side = int(np.argmax(np.ptp(xy[rows], axis=0)))
         # Equal coordinates keep the order of the frames.
         ordered = rows[np.lexsort((rows, xy[rows, 1 - side], xy[rows, side]))]
-        cut = len(rows) * (parts // 2) // parts
-        halve(ordered[:cut], parts // 2)
-        halve(ordered[cut:], parts - parts // 2)
+        middle = (first + stop) // 2
+        cut = ends[middle] - ends[first]
+        halve(ordered[:cut], first, middle)
+        halve(ordered[cut:], middle, stop)
 
-    halve(np.arange(len(xy)), n * max(1, round(len(xy) / (_BLOCK_FRAMES * n))))
+    halve(np.arange(len(xy)), 0, count)
     folds = np.empty(len(xy), np.int32)
     for number, rows in enumerate(blocks):
-        # Turned by one in each round, as the smaller halves come first and would all go to one fold.
+        # Turned by one in each round, as the smaller blocks recur in step with the folds.
         folds[rows] = (number + number // n) % n
     return folds
 
