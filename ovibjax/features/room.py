@@ -130,10 +130,7 @@ def make_room(config: RoomConfig) -> Room:
     box_table[: len(boxes), :11] = np.stack(boxes)
     half = np.array(config.size_m[:2]) / 2
     for columns in ([0, 1], [3, 4]):  # leaves end at the wall
-        foot = box_table[: len(boxes), columns]
-        box_table[: len(boxes), columns] = np.clip(
-            foot, -np.array(config.size_m[:2]) / 2, np.array(config.size_m[:2]) / 2
-        )
+        box_table[: len(boxes), columns] = np.clip(box_table[: len(boxes), columns], -half, half)
     box_table[:, 11] = np.arange(MAX_BOXES)
     decor_table = np.full((MAX_DECOR, len(DECOR_COLUMNS)), -1.0)
     decor_table[: len(decor), :9] = np.stack(decor)

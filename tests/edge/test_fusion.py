@@ -21,9 +21,11 @@ from ovibjax.edge.fusion import (
 from ovibjax.edge.localize import errors
 from ovibjax.edge.retrieval import brute_force
 from ovibjax.views import mode_mask
+from tests.encoder.test_model import QUICK
 from tests.oracles import edge as oracle
 
-calibrate = jax.jit(fusion.calibrate)
+quick = functools.partial(jax.jit, compiler_options=QUICK)
+calibrate = quick(fusion.calibrate)
 
 
 @functools.cache
@@ -87,7 +89,7 @@ def test_identical_views_keep_equal_weights():
 def test_mapped_equals_one_by_one():
     rooms = [room(seed) for seed in (0, 1)]
     stacked = [jnp.stack([jnp.asarray(r[i]) for r in rooms]) for i in range(3)]
-    mapped = jax.jit(jax.vmap(fusion.calibrate))(*stacked)
+    mapped = quick(jax.vmap(fusion.calibrate))(*stacked)
     for one, data in zip(mapped, rooms, strict=True):
         np.testing.assert_allclose(one, calibrate(*data), atol=2e-3)
 
