@@ -261,7 +261,9 @@ def reproduce(
         raise InputError(f"backbone {backbone!r} is not available; this version has: embedded")
     paths = [sweep] if sweep is not None else [cards_folder() / f"{name}.py" for name in (only or card_names())]
     cards = [load_card(path) for path in paths]
-    paths, cards = _cards_for(data, paths, cards, chosen=bool(only or sweep))
+    left_out = _unusable(data, paths, cards, chosen=bool(only or sweep))
+    usable = [i for i, path in enumerate(paths) if path.stem not in left_out]
+    paths, cards = [paths[i] for i in usable], [cards[i] for i in usable]
     pair = all(takes_queries(card) for card in cards)
     # Whatever can be refused is refused before anything is rendered, and a refusal leaves no folder behind.
     if not data:
@@ -275,6 +277,8 @@ def reproduce(
     except KeyboardInterrupt:
         raise Interrupted("interrupted while reading the data; nothing was written") from None
     _check_writable(out)
+    for name in left_out:
+        console.print(f"{name}: left out, it takes references and queries (--only {name} --data REF QUERY)")
     for path, card in zip(paths, cards, strict=True):
         started = time.perf_counter()
         folder = out / path.stem
@@ -294,25 +298,18 @@ def reproduce(
     return out / "README.md"
 
 
-def _cards_for(
-    data: Sequence[Path], paths: list[Path], cards: list[ModuleType], chosen: bool
-) -> tuple[list[Path], list[ModuleType]]:
-    """The cards that the data allow; refuses data that the chosen cards cannot use."""
-    if not data:
-        return paths, cards
+def _unusable(data: Sequence[Path], paths: Sequence[Path], cards: Sequence[ModuleType], chosen: bool) -> list[str]:
+    """Names of cards that the data do not allow; refuses data that cards chosen by the user cannot use."""
     paired = [path.stem for path, card in zip(paths, cards, strict=True) if takes_queries(card)]
     if len(data) > 2:
         raise InputError(f"--data takes one feature set, or references and queries; {len(data)} were given")
-    if len(data) == 2:
-        if not chosen or len(paired) < len(cards):
-            raise InputError("--data with references and queries is for real_scene; add --only real_scene")
-        return paths, cards
+    if len(data) == 2 and (not chosen or len(paired) < len(cards)):
+        raise InputError("--data with references and queries is for real_scene; add --only real_scene")
+    if len(data) != 1:
+        return []
     if chosen and paired:
         raise InputError(f"{paired[0]} takes references and queries: --only {paired[0]} --data REF QUERY")
-    for name in paired:
-        console.print(f"{name}: left out, it takes references and queries (--only {name} --data REF QUERY)")
-    kept = [(path, card) for path, card in zip(paths, cards, strict=True) if not takes_queries(card)]
-    return [path for path, _ in kept], [card for _, card in kept]
+    return paired
 
 
 def _remove_old(folder: Path) -> None:

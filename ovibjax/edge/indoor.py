@@ -94,7 +94,7 @@ class Protocol:
     prefixes: tuple[int, ...]
     checkpoints: int
     lr: float = 2e-3
-    weight_decay: float = 1e-2
+    weight_decay: float = 0.5
 
     @property
     def modes(self) -> tuple[str, ...]:
