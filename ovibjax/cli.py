@@ -36,8 +36,9 @@ class Reproduce:
     """Names of the figures to make, e.g. scalable_compression; all by default."""
     out: Path = Path("results")
     """Results folder; made if missing."""
-    data: Path | None = None
-    """Your own feature set: a .npz file, or a folder view_features/<Camera>/<frame>.npz (keys feature, position)."""
+    data: tuple[Path, ...] = ()
+    """Your own feature set: a .npz file, or a folder view_features/<Camera>/<frame>.npz (keys feature, position).
+    For real_scene two of them, references and queries: --only real_scene --data REF QUERY."""
     backbone: str = "embedded"
     """Image backbone of the embedded town."""
     seed: int = 100

@@ -18,7 +18,9 @@ import ovibjax
 from ovibjax.cache import cache_folder
 from ovibjax.errors import InputError
 from ovibjax.features.embedded import PAPER_FRAMES, town_features
-from ovibjax.features.frames import FeatureSet, load, require_frames
+from ovibjax.features.frames import MIN_QUERIES, MIN_REFERENCES, FeatureSet, load, require_frames
+from ovibjax.features.room import platform_room
+from ovibjax.features.room_features import room_features
 from ovibjax.features.town import TownConfig
 from ovibjax.progress import console, progress_bar
 from ovibjax.report.page import write_page
@@ -49,6 +51,7 @@ class Job:
         features: the data.
         source: "embedded" or the path the data came from.
         rank: coordinates kept per view; None keeps all.
+        queries: the second feature set of a card that takes references and queries; None for embedded data.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Job:
     features: FeatureSet
     source: str
     rank: int | None
+    queries: FeatureSet | None = None
 
     def sweep(self, description: str, fn: Any, axes: Mapping[str, Any], shared: Any, **options: Any) -> xarray.Dataset:
         """`sweep.run`, kept as `kept` says.
@@ -179,6 +183,36 @@ def load_card(path: Path) -> ModuleType:
     return module
 
 
+def takes_queries(card: ModuleType) -> bool:
+    """Whether a card works on references and queries of its own instead of one feature set."""
+    return bool(getattr(card, "TAKES_QUERIES", False))
+
+
+def load_pair(data: Sequence[Path], seed: int) -> tuple[FeatureSet, FeatureSet | None, str]:
+    """References and queries of somebody, or the references of the first embedded room.
+
+    Args:
+        data: two feature sets, or none.
+        seed: the embedded room.
+
+    Returns:
+        References, queries (None for embedded data), where they are from.
+
+    Raises:
+        InputError: unreadable data, too few frames, or two sets that do not match.
+    """
+    if not data:
+        with console.status("rendering a room"):
+            return room_features(platform_room("uav", seed))[0], None, "embedded"
+    references, queries = (load(path) for path in data)
+    require_frames(references, MIN_REFERENCES, str(data[0]))
+    require_frames(queries, MIN_QUERIES, str(data[1]))
+    if references.features.shape[1:] != queries.features.shape[1:]:
+        (m, d), (views, dim) = references.features.shape[1:], queries.features.shape[1:]
+        raise InputError(f"{data[1]}: queries have {views} views of dimension {dim}, the references {m} of {d}")
+    return references, queries, str(data[0])
+
+
 def load_features(data: Path | None, preset: str) -> tuple[FeatureSet, str]:
     """The data of a run: somebody's feature set, or the embedded town.
 
@@ -206,7 +240,7 @@ def reproduce(
     preset: str = "quick",
     only: Sequence[str] = (),
     out: Path = Path("results"),
-    data: Path | None = None,
+    data: Sequence[Path] = (),
     backbone: str = "embedded",
     seed: int = 100,
     sweep: Path | None = None,
@@ -218,7 +252,7 @@ def reproduce(
         preset: smoke, quick or full.
         only: names of the cards to run; all if empty.
         out: results folder.
-        data: a feature set of somebody else's.
+        data: a feature set of somebody else's; references and queries for a card that takes them.
         backbone: image backbone for the embedded town.
         seed: first seed.
         sweep: a card of the user's own, run instead.
@@ -247,20 +281,30 @@ def reproduce(
         )
     paths = [sweep] if sweep is not None else [cards_folder() / f"{name}.py" for name in (only or card_names())]
     cards = [load_card(path) for path in paths]
+    left_out = _unusable(data, paths, cards, chosen=bool(only or sweep))
+    usable = [i for i, path in enumerate(paths) if path.stem not in left_out]
+    paths, cards = [paths[i] for i in usable], [cards[i] for i in usable]
+    pair = all(takes_queries(card) for card in cards)
     # Whatever can be refused is refused before anything is rendered, and a refusal leaves no folder behind.
-    if data is None:
+    if not data:
         _check_writable(out)
+    queries = None
     try:
-        features, source = load_features(data, preset)
+        if pair:
+            features, queries, source = load_pair(data, seed)
+        else:
+            features, source = load_features(data[0] if data else None, preset)
     except KeyboardInterrupt:
         raise Interrupted("interrupted while reading the data; nothing was written") from None
     _check_writable(out)
+    for name in left_out:
+        console.print(f"{name}: left out, it takes references and queries (--only {name} --data REF QUERY)")
     for path, card in zip(paths, cards, strict=True):
         started = time.perf_counter()
         folder = out / path.stem
         folder.mkdir(exist_ok=True)
         console.print(f"[bold]{card.TITLE}[/bold] ({preset} preset) -> {folder}")
-        job = Job(path.stem, preset, folder, seed, features, source, rank)
+        job = Job(path.stem, preset, folder, seed, features, source, rank, queries)
         try:
             card.run(job)
         except Interrupted:  # the card wrote what it had
@@ -272,6 +316,20 @@ def reproduce(
         console.print(f"{path.stem}: {time.perf_counter() - started:.0f} s")
         write_page(out)
     return out / "README.md"
+
+
+def _unusable(data: Sequence[Path], paths: Sequence[Path], cards: Sequence[ModuleType], chosen: bool) -> list[str]:
+    """Names of cards that the data do not allow; refuses data that cards chosen by the user cannot use."""
+    paired = [path.stem for path, card in zip(paths, cards, strict=True) if takes_queries(card)]
+    if len(data) > 2:
+        raise InputError(f"--data takes one feature set, or references and queries; {len(data)} were given")
+    if len(data) == 2 and (not chosen or len(paired) < len(cards)):
+        raise InputError("--data with references and queries is for real_scene; add --only real_scene")
+    if len(data) != 1:
+        return []
+    if chosen and paired:
+        raise InputError(f"{paired[0]} takes references and queries: --only {paired[0]} --data REF QUERY")
+    return paired
 
 
 def _remove_old(folder: Path) -> None:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from ovibjax.encoder.loss import Hypers
 from ovibjax.encoder.model import Params
 from ovibjax.encoder.prepare import Standardizer
-from ovibjax.encoder.train import TrainConfig, TrainData, make_optimizer, schedule_of, train_epochs
+from ovibjax.encoder.train import TrainConfig, TrainData, make_epoch, make_optimizer, schedule_of
 from ovibjax.views import mask_table
 
 
@@ -154,4 +154,6 @@ def fit_attention(
         return jnp.mean(jnp.sum((predict(params, x, view_mask, static) - y) ** 2, axis=-1)), {}
 
     params = init_attention(key_init, static)
-    return train_epochs(key_order, params, optimizer, sample, loss_of, n, (batch, per_epoch, epochs))
+    epoch = make_epoch(key_order, optimizer, sample, loss_of, n, (batch, per_epoch))
+    (params, _), metrics = jax.lax.scan(epoch, (params, optimizer.init(params)), jnp.arange(epochs))
+    return params, metrics

@@ -18,6 +18,12 @@ from ovibjax.encoder.loss import Batch, Hypers, composite_loss
 from ovibjax.encoder.model import Architecture, Params, init
 from ovibjax.views import MODES, modes_for
 
+State = tuple[Params, Any]
+"""Parameters and the optimizer's state."""
+
+Epoch = Callable[[State, jax.Array], tuple[State, dict[str, jax.Array]]]
+"""One epoch of training, see `make_epoch`."""
+
 PAPER_PREFIXES = (4, 8, 16, 32, 64, 96, 128)
 
 
@@ -149,9 +155,30 @@ def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) ->
     Returns:
         Parameters, and metrics [epochs]: mean `loss` and its terms per epoch.
     """
+    epoch, start, epochs = epochs_of(key, hypers, data, static)
+    (params, _), metrics = jax.lax.scan(epoch, start, jnp.arange(epochs))
+    return params, metrics
+
+
+def epochs_of(
+    key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig, multiple: int = 1
+) -> tuple[Epoch, State, int]:
+    """What `fit` scans: one epoch as a function of state and number, the state it starts from, and how many.
+
+    Args:
+        key: as for `fit`.
+        hypers: as for `fit`.
+        data: as for `fit`.
+        static: as for `fit`.
+        multiple: the number of epochs is rounded up to a multiple of this.
+
+    Returns:
+        The epoch, its initial state, the number of epochs.
+    """
     key_init, key_order, key_steps = jax.random.split(key, 3)
     n = data.x.shape[0]
     batch, per_epoch, epochs = schedule_of(static.steps, static.batch, n)
+    epochs = -(-epochs // multiple) * multiple
     optimizer = make_optimizer(hypers, static, epochs * per_epoch)
     rows = view_rows(static, batch)[1]
 
@@ -164,9 +191,9 @@ def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) ->
     def loss_of(params: Params, minibatch: Batch) -> tuple[jax.Array, dict[str, jax.Array]]:
         return composite_loss(params, minibatch, hypers, static.arch, static.prior, rows, static.precision)
 
-    return train_epochs(
-        key_order, init(key_init, static.arch), optimizer, sample, loss_of, n, (batch, per_epoch, epochs)
-    )
+    params = init(key_init, static.arch)
+    epoch = make_epoch(key_order, optimizer, sample, loss_of, n, (batch, per_epoch))
+    return epoch, (params, optimizer.init(params)), epochs
 
 
 def schedule_of(steps: int, batch: int, n: int) -> tuple[int, int, int]:
@@ -175,32 +202,31 @@ def schedule_of(steps: int, batch: int, n: int) -> tuple[int, int, int]:
     return size, n // size, -(-steps // (n // size))
 
 
-def train_epochs(
+def make_epoch(
     key_order: jax.Array,
-    params: Params,
     optimizer: optax.GradientTransformation,
     sample: Callable[[jax.Array, jax.Array], Any],
     loss_of: Callable[[Params, Any], tuple[jax.Array, dict[str, jax.Array]]],
     n: int,
-    schedule: tuple[int, int, int],
-) -> tuple[Params, dict[str, jax.Array]]:
-    """Epochs of minibatches in random order, as one nested scan.
+    shape: tuple[int, int],
+) -> Epoch:
+    """One epoch of minibatches in random order, as a scan over its steps.
 
     Args:
         key_order: sets the order of examples.
-        params: initial parameters.
         optimizer: gradient transformation.
         sample: minibatch of a step's number and its [B] rows.
         loss_of: loss and its terms, of parameters and a minibatch.
         n: training examples.
-        schedule: see `schedule_of`.
+        shape: examples per step, steps per epoch.
 
     Returns:
-        Parameters, and metrics [epochs]: mean `loss` and its terms per epoch.
+        A function of (parameters, optimizer state) and the epoch's number; returns the new state, and the epoch's
+        mean `loss` and its terms.
     """
-    batch, per_epoch, epochs = schedule
+    batch, per_epoch = shape
 
-    def step(state: Any, inputs: Any) -> Any:
+    def step(state: State, inputs: Any) -> Any:
         params, opt_state = state
         minibatch = sample(*inputs)
         (loss, terms), grads = jax.value_and_grad(loss_of, has_aux=True)(params, minibatch)
@@ -209,12 +235,11 @@ def train_epochs(
             updates, opt_state = optimizer.update(grads, opt_state, params)
         return (optax.apply_updates(params, updates), opt_state), {"loss": loss, **terms}
 
-    def epoch(state: Any, number: jax.Array) -> Any:
+    def epoch(state: State, number: jax.Array) -> tuple[State, dict[str, jax.Array]]:
         order = jax.random.permutation(jax.random.fold_in(key_order, number), n)
         index = order[: per_epoch * batch].reshape(per_epoch, batch)
         count = number * per_epoch + jnp.arange(per_epoch)
         state, trace = jax.lax.scan(step, state, (count, index))
         return state, jax.tree.map(jnp.mean, trace)
 
-    (params, _), metrics = jax.lax.scan(epoch, (params, optimizer.init(params)), jnp.arange(epochs))
-    return params, metrics
+    return epoch

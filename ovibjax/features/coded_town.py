@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ovibjax.cache import cache_folder
 from ovibjax.errors import InputError
 from ovibjax.features.backbone import Backbone, open_backbone
 from ovibjax.features.codecs import CLIPS, decode, encode, video_missing
-from ovibjax.features.embedded import SOURCES, OnFrames, cache_folder
+from ovibjax.features.embedded import SOURCES, OnFrames
 from ovibjax.features.feature_files import read_npz, write_npz
 from ovibjax.features.route import make_route
 from ovibjax.features.town import Route, Town, TownConfig, make_town

@@ -17,6 +17,8 @@ MIN_FRAMES = 200
 """Fewest frames worth splitting: 15 percent of them are 30 validation frames."""
 MAX_ID_CHARS = 255
 """Longest frame name."""
+MIN_REFERENCES, MIN_QUERIES = 20, 5
+"""Fewest frames of the motion-capture protocol: five spatial folds of four references each, and a few queries."""
 
 _KIND_NAMES = {"iuf": "real numbers", "iu": "integers", "U": "text", "iuU": "text or integers"}
 _NORM_TOLERANCE = 1e-6  # float32 rounding of a unit vector stays within 1e-7

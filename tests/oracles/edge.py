@@ -74,3 +74,32 @@ def coarse_to_fine(query, db, tile, scene, scenes, tiles):
         kept_scenes.append(sorted(best))
         kept_tiles.append(chosen)
     return np.array(found), kept_scenes, kept_tiles
+
+
+def fused_similarity(weights, one, other):
+    """Weighted sum over views of inner products."""
+    return sum(w * (a @ b) for w, a, b in zip(weights, one, other, strict=True))
+
+
+def surrogate(weights, features, positions, folds, temperature):
+    """Softmax-averaged position error of each frame among the frames of other folds, averaged over frames."""
+    features, positions = np.asarray(features, np.float64), np.asarray(positions, np.float64)
+    total = 0.0
+    for i in range(len(features)):
+        others = [j for j in range(len(features)) if folds[j] != folds[i]]
+        fused = np.array([fused_similarity(weights, features[i], features[j]) for j in others])
+        share = np.exp((fused - fused.max()) / temperature)
+        share /= share.sum()
+        total += sum(p * math.dist(positions[i], positions[j]) for p, j in zip(share, others, strict=True))
+    return total / len(features)
+
+
+def fold_error(weights, features, positions, folds):
+    """Mean error of retrieving each frame from the frames of other folds."""
+    features = np.asarray(features, np.float64)
+    total = 0.0
+    for i in range(len(features)):
+        others = [j for j in range(len(features)) if folds[j] != folds[i]]
+        fused = [fused_similarity(weights, features[i], features[j]) for j in others]
+        total += math.dist(positions[i], positions[others[int(np.argmax(fused))]])
+    return total / len(features)
