@@ -219,11 +219,12 @@ def _draw_front(ax: Axes, found: xarray.Dataset) -> None:
     points = np.stack([part.transpose(*mean[2].dims).values.ravel() for part in mean], axis=1)
     front = pareto(points)
     slowest_first = points[np.argsort(-points[:, 2])]
-    shown = ax.scatter(*slowest_first[:, :2].T, c=slowest_first[:, 2], s=9, cmap="cividis", lw=0)
+    x, y, tail_ms = slowest_first.T
+    shown = ax.scatter(x, y, c=tail_ms, s=9, cmap="cividis", lw=0)
     ax.scatter(points[front, 0], points[front, 1], s=26, facecolors="none", edgecolors=fig.RED, lw=1.0, label="front")
     for k in found.k.values:
-        x, y = float(found.kb.sel(k=k).mean()), float(found.mean_route_m.mean("seed").sel(k=k).max())
-        ax.annotate(f"k = {k}", (x, y), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=6.5)
+        place = float(found.kb.sel(k=k).mean()), float(found.mean_route_m.mean("seed").sel(k=k).max())
+        ax.annotate(f"k = {k}", place, xytext=(0, 5), textcoords="offset points", ha="center", fontsize=6.5)
     ax.margins(y=0.12)
     bar = ax.figure.colorbar(shown, ax=ax, pad=0.01)
     bar.set_label("edge p95, top decile (ms)")

@@ -12,9 +12,9 @@ import numpy as np
 
 from ovibjax.cache import cache_folder
 from ovibjax.errors import InputError
-from ovibjax.features.backbone import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed, embedded_backbone
 from ovibjax.features.frames import FeatureSet, load, make_feature_set, save
 from ovibjax.features.interior import render_interior
+from ovibjax.features.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed, embedded_backbone
 from ovibjax.features.room import Room, RoomConfig, make_room
 from ovibjax.features.room_drive import Drive, query_drive, reference_drive
 from ovibjax.threads import in_threads
@@ -22,7 +22,7 @@ from ovibjax.threads import in_threads
 _CHUNK = 20  # views per call
 _SOURCES = (
     *("room.py", "room_drive.py", "room_features.py", "interior.py", "interior_shading.py"),
-    *("render.py", "shading.py", "backbone.py"),
+    *("render.py", "shading.py", "pyramid.py"),
 )
 
 OnRooms = Callable[[int, int], None]
@@ -119,7 +119,8 @@ def _embed(room: Room, drives: Sequence[Drive]) -> list[np.ndarray]:
     out = []
     for start in range(0, len(yaw), _CHUNK):
         rows = np.minimum(np.arange(start, start + _CHUNK), len(yaw) - 1)
-        rgb, _ = render_interior(arrays, origin[rows], yaw[rows], pitch[rows], EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX)
+        place, heading, tilt = (jnp.asarray(field[rows]) for field in (origin, yaw, pitch))
+        rgb, _ = render_interior(arrays, place, heading, tilt, EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX)
         out.append(np.asarray(embed(backbone, rgb)))
     flat = np.concatenate(out)[: len(yaw)]
     counts = np.cumsum([drive.view_yaw_rad.size for drive in drives])[:-1]
