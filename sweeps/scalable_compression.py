@@ -80,6 +80,7 @@ def run(job: Job) -> None:
         overhead_rows(results, host, 4 * (basis.axes.size + basis.mean.size), LINK_KB_PER_S, PAPER_LATENCY_MS),
     )
     codec_claims = codec_cards.claims(codecs, LINK_KB_PER_S) if codecs else []
+    (job.out / "codec.csv").unlink(missing_ok=True)  # of an earlier run on data with images
     if codecs:
         write_rows(job.out / "codec.csv", codecs.table_rows())
     write_claims(job.out / "claims.json", [*judge_claims(results, job.embedded), *codec_claims])
