@@ -385,7 +385,7 @@ def _draw_positions(ax: Axes, found: Found, embedded: bool) -> None:
     references, queries = found.scenes[0]
     if embedded:
         draw_plan(ax, make_room(platform_room(found.name.lower(), found.rooms[0])))
-    look = {"marker": MARKERS[found.name], "color": COLOURS[found.name], "ls": "", "zorder": 3}
+    look: dict[str, Any] = {"marker": MARKERS[found.name], "color": COLOURS[found.name], "ls": "", "zorder": 3}
     ax.plot(*references.positions_m[:, :2].T, mfc="white", ms=3.2, mew=0.8, label="reference", **look)
     ax.plot(*queries.positions_m[:, :2].T, ms=2.8, mec="none", label="query", **look)
     ax.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")

@@ -166,16 +166,16 @@ def prepare_scene(references: FeatureSet, queries: FeatureSet, rank: int | None)
     mean_m = train_m.mean(axis=0)
     scale_m = np.float32(max(float(np.sqrt(np.mean((train_m - mean_m)[:, :2] ** 2))), 1e-6))
     made = References(
-        features=references.features,
-        x=project(basis, references.features),
-        positions_m=references.positions_m,
-        folds=folds,
-        train=train.astype(np.int32),
-        val=val.astype(np.int32),
-        standardizer=Standardizer(mean_m, scale_m),
+        features=jnp.asarray(references.features),
+        x=jnp.asarray(project(basis, references.features)),
+        positions_m=jnp.asarray(references.positions_m),
+        folds=jnp.asarray(folds),
+        train=jnp.asarray(train, jnp.int32),
+        val=jnp.asarray(val, jnp.int32),
+        standardizer=Standardizer(jnp.asarray(mean_m), jnp.asarray(scale_m)),
     )
-    asked = Queries(queries.features, project(basis, queries.features), queries.positions_m)
-    return jax.tree.map(jnp.asarray, (made, asked))
+    fields = (queries.features, project(basis, queries.features), queries.positions_m)
+    return made, Queries(*map(jnp.asarray, fields))
 
 
 def learn(key: jax.Array, references: References, protocol: Protocol) -> Learned:

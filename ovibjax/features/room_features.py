@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import cache
 from importlib import resources
 from pathlib import Path
 
@@ -28,12 +29,15 @@ _SOURCES = (
 OnRooms = Callable[[int, int], None]
 
 
+@cache
+def _code() -> bytes:
+    """The code that renders rooms, as it was when this process first asked."""
+    return b"".join(resources.files("ovibjax.features").joinpath(name).read_bytes() for name in _SOURCES)
+
+
 def cache_key(config: RoomConfig) -> str:
     """Content hash of everything the features depend on: the description and the code that renders it."""
-    digest = hashlib.sha256(repr(sorted(asdict(config).items())).encode())
-    for name in _SOURCES:
-        digest.update(resources.files("ovibjax.features").joinpath(name).read_bytes())
-    return digest.hexdigest()[:20]
+    return hashlib.sha256(repr(sorted(asdict(config).items())).encode() + _code()).hexdigest()[:20]
 
 
 def rooms_features(
@@ -119,7 +123,8 @@ def _embed(room: Room, drives: Sequence[Drive]) -> list[np.ndarray]:
     out = []
     for start in range(0, len(yaw), _CHUNK):
         rows = np.minimum(np.arange(start, start + _CHUNK), len(yaw) - 1)
-        rgb, _ = render_interior(arrays, origin[rows], yaw[rows], pitch[rows], EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX)
+        poses = (jnp.asarray(field[rows]) for field in (origin, yaw, pitch))
+        rgb, _ = render_interior(arrays, *poses, EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX)
         out.append(np.asarray(embed(backbone, rgb)))
     flat = np.concatenate(out)[: len(yaw)]
     counts = np.cumsum([drive.view_yaw_rad.size for drive in drives])[:-1]
