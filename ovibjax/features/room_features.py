@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import cache
 from importlib import resources
 from pathlib import Path
 
@@ -28,12 +29,15 @@ _SOURCES = (
 OnRooms = Callable[[int, int], None]
 
 
+@cache
+def _code() -> bytes:
+    """The code that renders rooms, as it was when this process first asked."""
+    return b"".join(resources.files("ovibjax.features").joinpath(name).read_bytes() for name in _SOURCES)
+
+
 def cache_key(config: RoomConfig) -> str:
     """Content hash of everything the features depend on: the description and the code that renders it."""
-    digest = hashlib.sha256(repr(sorted(asdict(config).items())).encode())
-    for name in _SOURCES:
-        digest.update(resources.files("ovibjax.features").joinpath(name).read_bytes())
-    return digest.hexdigest()[:20]
+    return hashlib.sha256(repr(sorted(asdict(config).items())).encode() + _code()).hexdigest()[:20]
 
 
 def rooms_features(
