@@ -382,7 +382,8 @@ def _draw_grid(ax: Axes, found: Found) -> None:
     ax.set_ylim(80, 100.8)
     ax.set_xlabel("Tile recall (%)")
     ax.set_ylabel("Descriptors pruned (%)")
-    ax.legend(loc="lower left", ncols=2, columnspacing=0.8, handletextpad=0.2)
+    boxed = {"frameon": True, "framealpha": 0.9, "edgecolor": "w"}
+    ax.legend(loc="lower left", ncols=2, columnspacing=0.8, handletextpad=0.2, **boxed)
     fig.title(ax, "c", "Pruned share")
 
 
@@ -415,7 +416,7 @@ def _draw_errors(ax: Axes, found: Found) -> None:
     ax.set_ylabel("Mean error (m)")
     low, high = ax.get_ylim()
     ax.set_ylim(low, 4 * high)
-    ax.legend(loc="upper right")
+    ax.legend(loc="upper center", ncols=2, columnspacing=0.8, handlelength=1.2, handletextpad=0.4)
     fig.title(ax, "d", "Error")
 
 
@@ -430,14 +431,14 @@ def _draw_prefixes(ax: Axes, found: Found) -> None:
             )
     floor = float(np.mean(found.by_prefix[RAW].floor_m))
     ax.axhline(floor, color=fig.GREY, lw=0.9, ls="--")
-    ax.text(-0.4, 0.96 * floor, "nearest reference", fontsize=6, color=fig.GREY, va="top")
+    ax.text(len(PREFIXES) - 0.55, 0.95 * floor, "nearest reference", fontsize=6, color=fig.GREY, va="top", ha="right")
     ax.set_xticks(range(len(PREFIXES)), ["uncoded" if k == RAW else f"{k}" for k in PREFIXES])
     ax.set_xlabel("Prefix of the query's code, k")
     ax.set_xlim(-0.5, len(PREFIXES) - 0.5)
     ax.grid(visible=False, axis="x")
-    ax.set_ylim(0, 1.35 * ax.get_ylim()[1])
+    ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
     ax.set_ylabel("Mean error (m)")
-    ax.legend(loc="upper right")
+    ax.legend(loc="upper center", ncols=2, columnspacing=0.8, handletextpad=0.2)
     fig.title(ax, "e", "Coded queries")
 
 

@@ -1,7 +1,7 @@
-"""Frames on disk and the picture of the town. The images have the released size: it is compiled once."""
+"""Frames on disk and the picture of the town; the images are smaller than the released ones, for speed."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +21,15 @@ from ovibjax.views import VIEWS
 CONFIG = TownConfig()
 N_FRAMES, SEED = 3, 1
 NAMES = [f"{frame:06d}" for frame in range(N_FRAMES)]
+CAMERA = replace(FRAME_CAMERA, height_px=90, width_px=120)
+SHAPE = (CAMERA.height_px, CAMERA.width_px)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_images():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(town_files, "FRAME_CAMERA", CAMERA)
+        yield
 
 
 def read(path):
@@ -71,6 +80,10 @@ def drive():
     return town, make_route(town, CONFIG, N_FRAMES, SEED)
 
 
+def test_images_have_the_released_size():
+    assert (FRAME_CAMERA.width_px, FRAME_CAMERA.height_px) == (400, 300)
+
+
 def test_the_folder_holds_the_released_layout_and_nothing_else(written):
     out, calls = written
     images = {f"{kind}/{view}/{name}.png" for kind in ("rgb", "depth", "semantic") for view in VIEWS for name in NAMES}
@@ -84,12 +97,12 @@ def test_images_are_what_the_renderer_gives(written, drive):
     town, route = drive
     for frame, name in enumerate(NAMES):
         batch = [0, 1] if frame < 2 else [2, 2]
-        views = render(town, route.positions_m[batch], route.yaw_rad[batch], FRAME_CAMERA)
+        views = render(town, route.positions_m[batch], route.yaw_rad[batch], CAMERA)
         for m, view in enumerate(VIEWS):
             rgb, depth, semantic = (read(out / kind / view / f"{name}.png") for kind in ("rgb", "depth", "semantic"))
-            assert rgb.shape == (300, 400, 3) and rgb.dtype == np.uint8
-            assert depth.shape == (300, 400) and depth.dtype == np.uint16
-            assert semantic.shape == (300, 400) and semantic.dtype == np.uint8
+            assert rgb.shape == (*SHAPE, 3) and rgb.dtype == np.uint8
+            assert depth.shape == SHAPE and depth.dtype == np.uint16
+            assert semantic.shape == SHAPE and semantic.dtype == np.uint8
             row = batch.index(frame)
             np.testing.assert_allclose(rgb / 255, views.rgb[row, m], atol=0.51 / 255)
             np.testing.assert_array_equal(semantic, views.semantic[row, m])
@@ -125,14 +138,14 @@ def test_calibration_projects_points_to_where_they_are_seen(written, drive):
     assert list(calibration["cameras"]) == list(VIEWS)
     height_m = float(drive[1].positions_m[0, 2])
     for view, camera in calibration["cameras"].items():
-        assert (camera["width"], camera["height"], camera["fov_deg"]) == (400, 300, 90)
+        assert (camera["height"], camera["width"], camera["fov_deg"]) == (*SHAPE, 90)
         (fx, _, cx), (_, fy, cy), last = camera["intrinsic"]
         assert fx == fy == pytest.approx(camera["width"] / 2 / np.tan(np.deg2rad(camera["fov_deg"] / 2)))
-        assert (cx, cy, last) == (200, 150, [0, 0, 1])
+        assert (cx, cy, last) == (SHAPE[1] / 2, SHAPE[0] / 2, [0, 0, 1])
         depth_m = read(out / "depth" / view / f"{NAMES[0]}.png") / 100
         is_road = read(out / "semantic" / view / f"{NAMES[0]}.png") == SEMANTIC_CLASSES.index("road")
         is_road &= depth_m < 655.35
-        up = (cy - np.arange(300)[:, None] - 0.5) / fy
+        up = (cy - np.arange(SHAPE[0])[:, None] - 0.5) / fy
         pitch = np.deg2rad(camera["extrinsic"]["pitch_deg"])
         z = height_m + depth_m * (np.sin(pitch) + up * np.cos(pitch))
         assert is_road.any() and np.abs(z[is_road]).max() < 0.02

@@ -86,12 +86,17 @@ def same(one, other):
         assert left.tobytes() == right.tobytes(), name
 
 
+def with_devices(count):
+    """This process's compiler flags, with another number of devices."""
+    return f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={count}".strip()
+
+
 def start(code, *arguments, devices=1, hash_seed="random"):
     """A Python process with the package, `tests` and `arguments` at hand."""
     environment = {
         **os.environ,
         "PYTHONPATH": str(ROOT),
-        "XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}",
+        "XLA_FLAGS": with_devices(devices),
         "PYTHONHASHSEED": hash_seed,
     }
     return subprocess.Popen(

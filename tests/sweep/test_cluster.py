@@ -20,6 +20,7 @@ from ovibjax.sweep import cluster
 from ovibjax.sweep.cluster import on_ray
 from ovibjax.sweep.run import run
 from ovibjax.sweep.store import open_dataset
+from tests.sweep.members import with_devices
 
 ray = pytest.importorskip("ray")
 
@@ -223,7 +224,7 @@ def test_killed_and_interrupted_driver(tmp_path):
     """A function of `__main__`, workers with two devices, a cluster of its own; the third command finishes."""
     (tmp_path / "script.py").write_text(SCRIPT)
     command = [sys.executable, tmp_path / "script.py", tmp_path / "a.zarr"]
-    environment = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    environment = {**os.environ, "XLA_FLAGS": with_devices(2)}
     for end in (signal.SIGKILL, signal.SIGINT, None):
         process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         if end is not None:
