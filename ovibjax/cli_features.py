@@ -55,7 +55,9 @@ class Features:
     """Refuse frames that lack a view or a pose or do not decode, instead of leaving them out."""
     batch: int = 16
     """Frames per call of the encoder; memory grows with it, and another value is another extraction."""
-    options: tyro.conf.OmitArgPrefixes[BackboneOptions] = BackboneOptions()  # noqa: RUF009 (frozen)
+    # The default is frozen, so that instances may share it.
+    onnx: tyro.conf.OmitArgPrefixes[BackboneOptions] = BackboneOptions()  # noqa: RUF009
+    """What an `onnx:FILE` network expects, where its side file does not say so."""
 
     def run(self) -> None:
         """Run the command."""
@@ -70,7 +72,7 @@ class Features:
             with console.status("opening the encoder"):
                 from ovibjax.features.backbone import open_backbone
 
-                backbone = open_backbone(self.backbone, self.options)
+                backbone = open_backbone(self.backbone, self.onnx)
             description = f"{len(source.frames)} frames through {backbone.name}"
             with progress_bar(description, len(source.frames), transient=True) as update:
                 done = extract(source, backbone, self.out, self.batch, self.strict, update)

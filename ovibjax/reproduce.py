@@ -299,6 +299,7 @@ def reproduce(
     _check_writable(out)
     for name in left_out:
         console.print(f"{name}: left out, it takes references and queries (--only {name} --data REF QUERY)")
+    refused: list[str] = []
     for path, card in zip(paths, cards, strict=True):
         started = time.perf_counter()
         folder = out / path.stem
@@ -313,8 +314,18 @@ def reproduce(
         except KeyboardInterrupt:
             _drop_if_empty(folder)
             raise Interrupted(f"interrupted in {path.stem}; finished figures are in {out}") from None
+        except InputError as error:
+            _drop_if_empty(folder)
+            if not data or only or sweep is not None:
+                raise
+            # Of all figures, those that somebody's data do not allow are named, and the others made.
+            console.print(f"{path.stem}: left out, {error}", highlight=False)
+            refused.append(path.stem)
+            continue
         console.print(f"{path.stem}: {time.perf_counter() - started:.0f} s")
         write_page(out)
+    if len(refused) == len(paths):
+        raise InputError(f"{source}: allows no figure; the reasons are above")
     return out / "README.md"
 
 

@@ -137,9 +137,8 @@ def _draw_prefixes(ax: Axes, results: Results) -> None:
     fig.band(ax, sparse, results.mean_m("vib"), COLOURS["vib"], "VIB (no orthogonality)", style="--")
     raw = float(results.mean_m("raw").mean())
     ax.axhline(raw, color=fig.GREY, lw=1, ls=":")
-    ax.text(
-        128, raw * 1.06, f"raw features (10 KB): {raw:.1f} m", ha="right", va="bottom", color="#555555", fontsize=6.5
-    )
+    label = f"raw features ({results.payload_bytes('raw', 0) / 1024:.0f} KB): {raw:.1f} m"
+    ax.text(128, raw / 1.06, label, ha="right", va="top", color="#555555", fontsize=6.5)
     chosen = float(curves[:, results.chosen - 1].mean())
     ax.plot(results.chosen, chosen, "*", ms=10, color=fig.RED, zorder=5)
     ax.annotate(
