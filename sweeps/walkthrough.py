@@ -95,7 +95,8 @@ def run(job: Job) -> None:
         for rule in ("edf", "fifo", "voi_lyapunov"):
             fig.band(tails, np.array(KS), tail_ms.sel(scheduler=rule).values, COLOURS[rule], NAMES[rule], marker="o")
         tails.set(xlabel="prefix length k (floats)", ylabel="edge p95, top decile (ms)", ylim=(0, None))
-        tails.legend(loc="lower left")
+        tails.set_ylim(top=1.25 * tails.get_ylim()[1])
+        tails.legend(loc="upper center", ncols=3, columnspacing=0.8, handlelength=1.4, handletextpad=0.3)
         fig.title(tails, "c", "latency at the edge")
         fig.save_figure(figure, job.out / "figure.png")
     caption = (

@@ -16,7 +16,10 @@ from ovibjax.errors import InputError
 ROW_STEP, TILE_STEP = 16, 32
 """Descriptors and tile prototypes read in one piece: fewer take more steps, more are read in vain. Both tables end with
 as many empty rows, so that no read goes past the end."""
+SKETCH = 32
+"""Leading coordinates whose product, with the norms of the rest, bounds a similarity from above."""
 NO_ROW = np.iinfo(np.int32).max
+_BASIS_ROWS, _BASIS_ROUNDS = 8192, 3
 
 
 def normalize(rows: jax.Array) -> jax.Array:
@@ -36,6 +39,8 @@ class Index(NamedTuple):
 
     Attributes:
         descriptor: [N + ROW_STEP, d] descriptors, sorted by tile.
+        sketch: [N + ROW_STEP, s + 1] coordinates of the descriptors in `basis`, and the norm of what these leave out.
+        basis: [d, s] orthonormal directions that hold most of the descriptors.
         row: [N + ROW_STEP] int32 row of the database that stands there; `NO_ROW` at the end.
         tile_start: [T + 1] int32 where each tile begins; an empty tile begins where the next one does.
         tile_prototype: [T, d] normalised mean of a tile's descriptors, grouped by scene.
@@ -48,6 +53,8 @@ class Index(NamedTuple):
     """
 
     descriptor: jax.Array
+    sketch: jax.Array
+    basis: jax.Array
     row: jax.Array
     tile_start: jax.Array
     tile_prototype: jax.Array
@@ -128,8 +135,12 @@ def index_of_tiles(db: ArrayLike, tile: NDArray[np.integer], scene: NDArray[np.i
     tiles_of = np.bincount(owner, minlength=n_scenes)
     padded = _round_up(n_tiles + TILE_STEP)
     start = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=padded))])
+    basis = _leading_basis(unit, min(SKETCH, d))
+    descriptor = np.concatenate([unit[order], np.zeros((ROW_STEP, d), np.float32)])
     return Index(
-        descriptor=jnp.asarray(np.concatenate([unit[order], np.zeros((ROW_STEP, d), np.float32)])),
+        descriptor=jnp.asarray(descriptor),
+        sketch=jnp.asarray(_sketch(descriptor, basis)),
+        basis=jnp.asarray(basis),
         row=jnp.asarray(np.concatenate([order, np.full(ROW_STEP, NO_ROW)]), jnp.int32),
         tile_start=jnp.asarray(start, jnp.int32),
         tile_prototype=_prototypes(unit, tile, padded),
@@ -140,6 +151,23 @@ def index_of_tiles(db: ArrayLike, tile: NDArray[np.integer], scene: NDArray[np.i
         row_tile=jnp.asarray(tile, jnp.int32),
         tile_slots=jnp.ones(_round_up(int(tiles_of.max())), bool),
     )
+
+
+def _leading_basis(unit: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+    """[d, size] near the leading singular directions; any orthonormal one gives the same answers, this one sooner."""
+    rows = unit[:: -(-len(unit) // _BASIS_ROWS)].astype(np.float64)
+    basis = np.random.default_rng(0).normal(size=(unit.shape[1], size))
+    for _ in range(_BASIS_ROUNDS):
+        # The second term keeps directions that no row has from being lost.
+        basis = np.linalg.qr(rows.T @ (rows @ basis) + 1e-9 * basis)[0]
+    return basis.astype(np.float32)
+
+
+def _sketch(descriptor: NDArray[np.float32], basis: NDArray[np.float32]) -> NDArray[np.float32]:
+    """[N, s + 1] coordinates in a basis, and the norm of the rest, rounded up."""
+    leading = descriptor @ basis
+    rest = np.sqrt(np.maximum(1.0 - np.sum(leading.astype(np.float64) ** 2, axis=1), 0.0) + 1e-6)
+    return np.concatenate([leading, rest[:, None].astype(np.float32)], axis=1)
 
 
 def _prototypes(unit: NDArray[np.float32], group: NDArray[np.integer], n_groups: int) -> jax.Array:

@@ -53,6 +53,29 @@ def test_with_everything_kept_it_is_brute_force(case):
         assert found.row.dtype == jnp.int32 and np.all(np.asarray(found.searched) == len(db))
 
 
+@pytest.mark.parametrize("rank", [4, 31, 33, 90])
+@pytest.mark.parametrize("tiles", [5, EVERY])
+def test_the_sketch_changes_no_answer(monkeypatch, rank, tiles):
+    """With a bound that never rules anything out every kept descriptor is read."""
+    monkeypatch.setattr(retrieval, "_TILES_AT_ONCE", 7)
+    rng = np.random.default_rng(rank)
+    db, position, scene = clustered(rank, d=90)
+    db = (db @ np.linalg.qr(rng.normal(size=(90, rank)))[0] @ rng.normal(size=(rank, 90))).astype(np.float32)
+    query = np.concatenate([db[::7], db[::5] + 0.1 * rng.normal(size=(80, 90)), rng.normal(size=(20, 90))])
+    query = (query * 10.0 ** rng.uniform(-4, 4, (len(query), 1))).astype(np.float32)
+    index = build_index(db, position, scene, 2.0)
+    blind = index._replace(sketch=jnp.zeros_like(index.sketch).at[:, -1].set(1e6))
+    np.testing.assert_array_equal(search(query, index, 3, tiles).row, search(query, blind, 3, tiles).row)
+    # And it does bound: nothing is more similar than the sketch says.
+    unit = np.asarray(index.descriptor)[: len(db)]
+    one = query / np.linalg.norm(query, axis=1, keepdims=True)
+    leading = one @ np.asarray(index.basis)
+    rest = np.sqrt(np.maximum(1 - np.sum(leading**2, axis=1, keepdims=True), 0) + 4e-6)
+    bound = np.concatenate([leading, rest], axis=1) @ np.asarray(index.sketch)[: len(db)].T
+    assert np.all(one @ unit.T <= bound + 2e-5)
+    assert rank > 32 or np.max((bound - one @ unit.T)[: len(db[::7])]) < 1e-2  # and tightly, where it holds all
+
+
 def test_a_query_equal_to_a_reference_finds_it_when_its_tile_is_kept(case):
     _, db, _, _, index = case
     found = search(db, index, 4, EVERY)
