@@ -144,7 +144,10 @@ def _search(query: jax.Array, n: jax.Array, index: Index, scenes: int, tiles: in
 
 def _search_block(query: jax.Array, n: jax.Array, index: Index, scenes: int, tiles: int) -> Found:
     block = query.shape[0]
-    kept_scenes = jnp.sort(jax.lax.top_k(query @ index.scene_prototype.T, scenes)[1], axis=1)
+    if scenes == index.scene_prototype.shape[0]:
+        kept_scenes = jnp.broadcast_to(jnp.arange(scenes, dtype=jnp.int32)[None], (block, scenes))
+    else:
+        kept_scenes = jnp.sort(jax.lax.top_k(query @ index.scene_prototype.T, scenes)[1], axis=1)
     # Rows of the padding keep no tile, and cost nothing below.
     asked = jnp.arange(block)[:, None] < n
     kept_tiles = jnp.where(asked, _rank_tiles(query, n, index, kept_scenes, tiles), -1)
