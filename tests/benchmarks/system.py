@@ -6,19 +6,19 @@ The loop reuses stages as ours does: PyTorch trains once per (beta, gamma, seed)
 prefix, a Python loop replays each client once per prefix, SimPy serves each server once per rule, and Base-DPP once per
 V. Each part is timed on a sample and multiplied by how often the grid needs it; the arithmetic is printed.
 
-2 virtual cores with AVX2, Python 3.11, jax 0.10.2, torch 2.13.0, host shared, load 8; 1,080 points x 5 rules:
+2 virtual cores with AVX2, quiet, Python 3.11, jax 0.10.2, torch 2.13.0; 1,080 points x 5 rules:
 
-    ovibjax: 10.53 s a member on all cores, 45 members: 474 s
-    PyTorch training: 45 x 29.7 s = 1334 s
-    NumPy retrieval: 45 x 4 x 0.32 s = 58 s
-    Python replay: 45 x 4 x 6 x 0.05 s = 59 s
-    SimPy: 45 x 4 x 6 servers x 10 replays = 164 s
-    in all 1616 s
-    ratio: 3.4
+    ovibjax: 8.27 s a member on all cores, 45 members: 372 s
+    PyTorch training: 45 x 15.4 s = 695 s
+    NumPy retrieval: 45 x 4 x 0.29 s = 51 s
+    Python replay: 45 x 4 x 6 x 0.04 s = 42 s
+    SimPy: 45 x 4 x 6 servers x 10 replays = 183 s
+    in all 971 s
+    ratio: 2.6
 
 NumPy retrieved the same reference in every frame and mode, the Python replay sent in the same slots, and SimPy's waits
 agreed within a microsecond. The goal of 20 is not met: training dominates both sides, and XLA trains one member about
-three times as fast as eager PyTorch on these cores; what lies behind it costs the usual way 281 s.
+twice as fast as eager PyTorch on these cores; what lies behind it costs the usual way 276 s.
 """
 
 import argparse
