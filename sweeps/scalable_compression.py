@@ -147,6 +147,7 @@ def _draw_prefixes(ax: Axes, results: Results) -> None:
         arrowprops={"arrowstyle": "-", "lw": 0.6},
     )
     ax.set(xlabel="prefix length k (floats)", ylabel="mean error (m)", yscale="log", xlim=(0, 129))
+    ax.set_ylim(bottom=min(ax.get_ylim()[0], 0.6 * raw))
     fig.plain_log_ticks(ax.yaxis)
     ax.legend(loc="upper right")
     fig.title(ax, "a", "every rate from one model")
