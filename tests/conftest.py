@@ -8,7 +8,8 @@ from importlib.metadata import version
 # One CPU device, stated before jax starts. The programs are many and small: most of the time would go to optimizing
 # machine code.
 _flags = ["--xla_force_host_platform_device_count=1", "--xla_backend_optimization_level=0"]
-if tuple(int(part) for part in version("jaxlib").split(".")[:2]) < (0, 11):  # a flag that XLA does not know ends the process
+# A flag that XLA does not know ends the process.
+if tuple(int(part) for part in version("jaxlib").split(".")[:2]) < (0, 11):
     _flags.append("--xla_cpu_use_fusion_emitters=false")
 os.environ.setdefault("XLA_FLAGS", " ".join(_flags))
 
