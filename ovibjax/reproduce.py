@@ -281,7 +281,8 @@ def reproduce(
         )
     paths = [sweep] if sweep is not None else [cards_folder() / f"{name}.py" for name in (only or card_names())]
     cards = [load_card(path) for path in paths]
-    left_out = _unusable(data, paths, cards, chosen=bool(only or sweep))
+    chosen = bool(only or sweep)
+    left_out = _unusable(data, paths, cards, chosen)
     usable = [i for i, path in enumerate(paths) if path.stem not in left_out]
     paths, cards = [paths[i] for i in usable], [cards[i] for i in usable]
     pair = all(takes_queries(card) for card in cards)
@@ -316,7 +317,7 @@ def reproduce(
             raise Interrupted(f"interrupted in {path.stem}; finished figures are in {out}") from None
         except InputError as error:
             _drop_if_empty(folder)
-            if not data or only or sweep is not None:
+            if not data or chosen:
                 raise
             # Of all figures, those that somebody's data do not allow are named, and the others made.
             console.print(f"{path.stem}: left out, {error}", highlight=False)

@@ -27,7 +27,7 @@ def write_drive(path: Path, n: int = 220, n_views: int = 4, dim: int = 24) -> No
     save(path, make_feature_set(features, position))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_own_frames_on_a_measured_link(tmp_path: Path) -> None:
     write_drive(tmp_path / "mine.npz")
     (tmp_path / "link.txt").write_text("".join(f"{t} {0.05 + 0.01 * (t % 3)}\n" for t in range(60)))

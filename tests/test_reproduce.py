@@ -92,7 +92,7 @@ def test_smoke_preset_makes_every_figure(names: tuple[str, ...], tmp_path: Path,
     assert facts["preset"] == "smoke" and facts["seeds"] == "100 101"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_somebody_elses_feature_set(tmp_path: Path, cache: Path) -> None:
     n_views, dim = 4, 100
     write_set(tmp_path / "mine.npz", n_views=n_views, dim=dim)

@@ -62,7 +62,7 @@ def test_slopes_and_tables_and_figure(tmp_path):
     assert (tmp_path / "figure.png").stat().st_size > 20_000
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_one_scene_of_ones_own(tmp_path):
     rng = np.random.default_rng(0)
     at = np.cumsum(rng.normal(size=(240, 3)), axis=0)

@@ -158,8 +158,7 @@ def _leading_basis(unit: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     rows = unit[:: -(-len(unit) // _BASIS_ROWS)].astype(np.float64)
     basis = np.random.default_rng(0).normal(size=(unit.shape[1], size))
     for _ in range(_BASIS_ROUNDS):
-        # The second term keeps directions that no row has from being lost.
-        basis = np.linalg.qr(rows.T @ (rows @ basis) + 1e-9 * basis)[0]
+        basis = np.linalg.qr(rows.T @ (rows @ basis))[0]  # orthonormal also where the rows have fewer directions
     return basis.astype(np.float32)
 
 

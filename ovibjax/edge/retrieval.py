@@ -22,7 +22,9 @@ _BLOCK_PAIRS = 1 << 27
 _SEARCH_BLOCK = 256
 # A product over all tiles runs at the speed of arithmetic, reading a query's own tiles at that of memory.
 _DENSE = 4
+# Sketches of so many tiles are gathered at a time, which bounds the memory of a query that keeps all of them.
 _TILES_AT_ONCE = 128
+# What float32 may lose, relative to the query's norm: in a product, and in the square of what the sketch leaves out.
 _ROUNDING, _CANCELLED = 2e-5, 4e-6
 _Best = tuple[jax.Array, jax.Array]
 """Similarity and row."""
@@ -164,11 +166,10 @@ def _search_tiles(query: jax.Array, kept_tiles: jax.Array, index: Index) -> jax.
     chunk = min(_TILES_AT_ONCE, kept_tiles.shape[1])
     chunks = -(-kept_tiles.shape[1] // chunk)
     kept_tiles = jnp.pad(kept_tiles, ((0, 0), (0, chunks * chunk - kept_tiles.shape[1])), constant_values=-1)
-    norm = jnp.sqrt(jnp.sum(query**2, axis=1, keepdims=True))
+    square = jnp.sum(query**2, axis=1, keepdims=True)
     leading = query @ index.basis
-    left = jnp.sum(query**2, axis=1, keepdims=True) - jnp.sum(leading**2, axis=1, keepdims=True)
-    # Rounded up, by more than float32 loses in the difference and in the products that follow.
-    sketches = jnp.concatenate([leading, jnp.sqrt(jnp.maximum(left, 0.0) + _CANCELLED * norm**2)], axis=1)
+    left = jnp.maximum(square - jnp.sum(leading**2, axis=1, keepdims=True), 0.0)
+    sketches = jnp.concatenate([leading, jnp.sqrt(left + _CANCELLED * square)], axis=1)
 
     def one_query(item: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> jax.Array:
         q, sketch, slack, tiles = item
@@ -207,7 +208,7 @@ def _search_tiles(query: jax.Array, kept_tiles: jax.Array, index: Index) -> jax.
 
         return jax.lax.fori_loop(0, chunks, one_chunk, (jnp.float32(-jnp.inf), jnp.int32(NO_ROW)))[1]
 
-    return jax.lax.map(one_query, (query, sketches, _ROUNDING * norm[:, 0], kept_tiles))
+    return jax.lax.map(one_query, (query, sketches, _ROUNDING * jnp.sqrt(square[:, 0]), kept_tiles))
 
 
 def _rank_tiles(query: jax.Array, n: jax.Array, index: Index, kept_scenes: jax.Array, tiles: int) -> jax.Array:

@@ -49,7 +49,7 @@ from ovibjax.progress import progress_bar
 
 TOWNS, FRAMES, SIZE_M = (5, 6, 7, 8, 9), (919, 919, 919, 918, 918), 220.0
 TILE_M = 30.0
-TILES = (1, 2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+TILES = (1, 2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 256, 512, 1024)
 SCENES = (2, 8, None)
 
 _brute_force = jax.jit(brute_force)

@@ -232,7 +232,7 @@ def blind_epochs(seed, static):
     return lane(metrics, 0, 0), lane(metrics, 0, 1)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_epoch_visits_every_row_at_most_once_in_a_fresh_order():
     static = TrainConfig(arch=UAV, prefixes=(0,), steps=24, batch=4, warmup=1)
     metrics = blind_epochs(0, static)
@@ -254,7 +254,7 @@ def test_an_epoch_visits_every_row_at_most_once_in_a_fresh_order():
 ONE_STEP = TrainConfig(arch=UAV, prefixes=(2, 5, 8), modes=("A5",), steps=1, batch=128, warmup=1)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_fewer_rows_than_a_batch_are_one_batch():
     for metrics in blind_epochs(0, dataclasses.replace(ONE_STEP, prefixes=(0,))):
         assert visited_rows(metrics, 10, "reconstruction") == [frozenset(range(10))]

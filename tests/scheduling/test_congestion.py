@@ -74,7 +74,7 @@ def test_a_case_of_few_clients_is_the_trace_of_those(events, cases, keys):
             np.testing.assert_allclose(np.asarray(found)[r, 1][valid], expected, rtol=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_table_equals_one_replay_at_a_time(events, cases, keys):
     params = default_params()
     swept = params._replace(V=jnp.array([0.0, 8.0]))

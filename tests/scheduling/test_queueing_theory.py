@@ -50,7 +50,7 @@ def test_mean_wait_of_an_m_m_1_queue(load):
     assert waits_of(traces, "fifo").mean() == pytest.approx(load / (1.0 - load) * mean_ms, rel=0.02)
 
 
-@pytest.mark.parametrize("policy", ["fifo", pytest.param("edf", marks=pytest.mark.long)])
+@pytest.mark.parametrize("policy", ["fifo", pytest.param("edf", marks=pytest.mark.slow)])
 def test_little_s_law(policy):
     """Requests found waiting by a Poisson arrival = arrival rate x mean wait, counted from the start times."""
     arrivals_per_ms = 0.06

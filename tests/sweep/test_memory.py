@@ -119,7 +119,7 @@ print(before, go(8), go(64))
 """
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_peak_memory_follows_the_chunk_not_the_grid():
     before, few, many = map(float, finish(start(BIG)).split())
     assert few > before + 40, "the members do need their memory"

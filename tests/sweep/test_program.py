@@ -219,7 +219,7 @@ print("\\n".join(failed))
 """
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_several_devices_give_the_same(tmp_path):
     processes = {n: start(DEVICES, tmp_path / f"{n}.npz", n, devices=n) for n in (2, 3)}
     expected = {

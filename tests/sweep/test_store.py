@@ -304,7 +304,7 @@ def test_second_process_is_refused_until_the_first_is_dead(tmp_path):
     Store.open(path, layout, CONFIG).close()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_two_processes_create_at_once(tmp_path):
     both = [[start(tmp_path / f"{i}.zarr", WAIT) for _ in range(2)] for i in range(2)]
     for i, pair in enumerate(both):
