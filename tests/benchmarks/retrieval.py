@@ -15,12 +15,12 @@ moment of the machine falls on all. Building the index is not timed; its time is
     descriptors    IndexFlatIP    IndexIVFFlat    coarse-to-fine, all scenes    ours brute force
     5 k                     46     13 (98.2 %)     35 (98.8 %, 12 tiles)                      65
     100 k                  792    143 (98.5 %)    280 (98.8 %, 128 tiles)                  1,282
-    1 M                  7,424    609 (98.8 %)  1,392 (92.8 %, 128 tiles)                 17,611
+    1 M                  6,443    514 (98.8 %)  2,348 (97.2 %, 1,024 tiles)               17,437
     ratio: 2.82
 
 The goal of 3 at 98 % recall is missed by little: of the 280 us the product with 10,240 tile prototypes takes 80 and
 picking 128 of them 63. Inverted lists, whose cells follow the descriptors, need fewer cells than tiles of the plane,
-but take 115 s to build at 1 M against 19 s. Scene prototypes cannot tell a hundred towns of one style apart, so keeping
+but take 97 s to build at 1 M against 17 s. Scene prototypes cannot tell a hundred towns of one style apart, so keeping
 2 or 8 of them finds 1 to 19 % here.
 """
 
