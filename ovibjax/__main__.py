@@ -1,6 +1,6 @@
 """`python -m ovibjax`: the same program as the console script."""
 
-from ovibjax.cli import main
+from ovibjax.cli.main import main
 
 if __name__ == "__main__":
     main()

@@ -9,15 +9,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import ttest_rel
 
-from ovibjax.edge.ablation import GAMMA, Ablation, ablate, named, table_rows
+from ovibjax.cards.ablation_study import GAMMA, Ablation, ablate, named, table_rows
+from ovibjax.cards.reproduce import Job
+from ovibjax.encoder.bound_margins import check_bounds
+from ovibjax.encoder.member_data import prepare
 from ovibjax.encoder.model import Architecture
-from ovibjax.encoder.prepare import prepare
-from ovibjax.encoder.theory import check_bounds
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, Claim, above, interval, weakest, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
 
 TITLE = "Scalable encoder ablations"
 K = 35

@@ -11,16 +11,16 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.control.study import seeds_to_keys
-from ovibjax.progress import console
+from ovibjax.cards.reproduce import Job
+from ovibjax.cards.scheduling_drawing import COLOURS, NAMES, events_of
+from ovibjax.control.policy_study import seeds_to_keys
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, interval, positive, weakest, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
+from ovibjax.runtime.progress import console
+from ovibjax.scheduling.clients import Events, ReplayMetrics, default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case, compare
 from ovibjax.scheduling.priority import POLICIES, default_params
-from ovibjax.scheduling.traces import Events, ReplayMetrics, default_trace_params
-from ovibjax.scheduling_cards import COLOURS, NAMES, events_of
 
 TITLE = "Whom to serve: schedulers under congestion"
 VS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)

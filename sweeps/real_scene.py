@@ -11,15 +11,12 @@ import numpy as np
 import xarray
 from matplotlib.axes import Axes
 
+from ovibjax.cards.reproduce import Job
 from ovibjax.edge.indoor import DIMS, Protocol, prepare_scene
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
 from ovibjax.features.frames import FeatureSet
-from ovibjax.features.room import make_room, platform_room
-from ovibjax.features.room_features import rooms_features
-from ovibjax.features.room_picture import draw_plan, room_sheet
 from ovibjax.link.payload import representation_bytes
-from ovibjax.progress import progress_bar
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import (
     HELD,
@@ -33,9 +30,12 @@ from ovibjax.report.claims import (
     write_claims,
 )
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
+from ovibjax.runtime.progress import progress_bar
 from ovibjax.sweep import Along
 from ovibjax.views import MODES, full_mode, modes_for
+from ovibjax.world.rooms.feature_set import rooms_features
+from ovibjax.world.rooms.picture import draw_plan, room_sheet
+from ovibjax.world.rooms.room import make_room, platform_room
 
 TITLE = "Real-scene localization: a UAV and a UGV in a room"
 TAKES_QUERIES = True

@@ -8,14 +8,14 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
+from ovibjax.cards.control_drawing import COLOURS, NAMES, policy_rows, representative, study
+from ovibjax.cards.control_study import ControlStudy
+from ovibjax.cards.reproduce import Job
+from ovibjax.cards.timeline import draw_requests, legend, shade, time_s
 from ovibjax.control.policies import POLICIES
-from ovibjax.control.presets import ControlStudy
-from ovibjax.control_cards import COLOURS, NAMES, policy_rows, representative, study
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import Claim, below, interval, positive, weakest, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
-from ovibjax.timeline import draw_requests, legend, shade, time_s
 
 TITLE = "Request-control dynamics under the 2.1 KB budget"
 PAPER = {"voi": (4.13, 6.71), "fixed_front": (5.64, 8.41), "random": (6.43, 13.43)}

@@ -11,14 +11,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.edge.pruning import Pruning
-from ovibjax.errors import InputError
-from ovibjax.progress import console, progress_bar
-from ovibjax.report import figures as fig
-from ovibjax.report.claims import REPORTED, Claim, Interval, above, below, interval, positive, weakest, write_claims
-from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
-from ovibjax.retrieval_study import (
+from ovibjax.cards.reproduce import Job
+from ovibjax.cards.retrieval_study import (
     FRAMES,
     QUERIES,
     RAW,
@@ -29,6 +23,12 @@ from ovibjax.retrieval_study import (
     time_growth,
     time_search,
 )
+from ovibjax.edge.pruning import Pruning
+from ovibjax.errors import InputError
+from ovibjax.report import figures as fig
+from ovibjax.report.claims import REPORTED, Claim, Interval, above, below, interval, positive, weakest, write_claims
+from ovibjax.report.rows import write_rows
+from ovibjax.runtime.progress import console, progress_bar
 
 TITLE = "Coarse-to-fine retrieval on the sampled multi-scene benchmark"
 SCENES, TILES = 2, 12

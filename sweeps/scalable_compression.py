@@ -7,13 +7,14 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax import codec_cards
-from ovibjax.compression_claims import LINK_KB_PER_S, PAPER_LATENCY_MS, judge_claims
-from ovibjax.edge.codec_frontier import RIVAL_K, Frontier
-from ovibjax.edge.compare import Results, collect, table_rows
-from ovibjax.edge.methods import FIXED, SPARSE_PREFIXES, TRAINED, Effort, Outcome, prefixes_of, run_method
-from ovibjax.edge.overhead import measure_encoder, overhead_rows
-from ovibjax.encoder.prepare import prepare
+from ovibjax.cards import codec_panel as codec_cards
+from ovibjax.cards.codec_frontier import RIVAL_K, Frontier
+from ovibjax.cards.compression_claims import LINK_KB_PER_S, PAPER_LATENCY_MS, judge_claims
+from ovibjax.cards.compression_methods import FIXED, SPARSE_PREFIXES, TRAINED, Effort, Outcome, prefixes_of, run_method
+from ovibjax.cards.compression_results import Results, collect, table_rows
+from ovibjax.cards.deployment_overhead import measure_encoder, overhead_rows
+from ovibjax.cards.reproduce import Interrupted, Job
+from ovibjax.encoder.member_data import prepare
 from ovibjax.link.latency import (
     JETSON,
     LatencyProfile,
@@ -22,12 +23,11 @@ from ovibjax.link.latency import (
     transmit_s,
 )
 from ovibjax.link.payload import representation_bytes
-from ovibjax.progress import progress_bar
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Interrupted, Job
-from ovibjax.threads import in_threads
+from ovibjax.runtime.progress import progress_bar
+from ovibjax.runtime.threads import in_threads
 
 TITLE = "Scalable O-VIB compression"
 SEEDS = {"smoke": 2, "quick": 3, "full": 5}

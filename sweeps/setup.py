@@ -11,15 +11,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from ovibjax.cards.reproduce import Job
 from ovibjax.features.describe import Description, describe
 from ovibjax.features.frames import CONTEXTS, FeatureSet, split_indices
-from ovibjax.features.town import Route, TownConfig, make_town
-from ovibjax.features.town_files import CONTEXT_COLOURS, render_frames
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, REPORTED, Claim, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
 from ovibjax.views import VIEWS
+from ovibjax.world.town.files import CONTEXT_COLOURS, render_frames
+from ovibjax.world.town.layout import Route, TownConfig, make_town
 
 TITLE = "The data"
 MAX_PICTURES = 12

@@ -13,16 +13,16 @@ import numpy as np
 import xarray
 from matplotlib.axes import Axes
 
+from ovibjax.cards.reproduce import Job
 from ovibjax.edge.member import DIMS, UNITS, FuseAndLocate, TrainAndJudge
 from ovibjax.encoder.attention import AttentionConfig, init_attention, predict
+from ovibjax.encoder.member_data import Member, prepare
 from ovibjax.encoder.model import Architecture, encode, init
-from ovibjax.encoder.prepare import Member, prepare
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.link.latency import JETSON, compute_ms_at, measure_host
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, above, below, interval, weakest, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
 from ovibjax.sweep.work import Along
 from ovibjax.views import full_mode
 

@@ -10,17 +10,17 @@ import numpy as np
 import xarray
 from matplotlib.axes import Axes
 
-from ovibjax.control.presets import PAPER_PROFILE_KB_PER_S, drives_of
-from ovibjax.progress import progress_bar
+from ovibjax.cards.control_study import PAPER_PROFILE_KB_PER_S, drives_of
+from ovibjax.cards.reproduce import Job
+from ovibjax.cards.scheduling_drawing import COLOURS, NAMES
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, interval, positive, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.report.shares import variance_shares
-from ovibjax.reproduce import Job
+from ovibjax.runtime.progress import progress_bar
 from ovibjax.scheduling.priority import POLICIES
-from ovibjax.scheduling_cards import COLOURS, NAMES
-from ovibjax.system_data import SystemSize
-from ovibjax.system_sweep import sweep_system
+from ovibjax.system.data import SystemSize
+from ovibjax.system.grids import sweep_system
 
 TITLE = "The whole system on one grid"
 GREEK = {"beta": "β", "gamma": "γ", "scheduler": "rule"}

@@ -12,13 +12,13 @@ import numpy as np
 import xarray
 from matplotlib.axes import Axes
 
+from ovibjax.cards.reproduce import Job
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import Claim, Interval, above, below, interval, weakest, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
-from ovibjax.scheduling.slotted_run import Horizon, RunCases
+from ovibjax.scheduling.slotted_replay import Horizon, RunCases
 from ovibjax.scheduling.stationary import capacity, draw_system, least_growth
-from ovibjax.scheduling.theory import Setting, empty_case, make_case, stack
+from ovibjax.scheduling.theorem import Setting, empty_case, make_case, stack
 from ovibjax.sweep.work import Along
 
 TITLE = "Theorem of the slotted scheduler"

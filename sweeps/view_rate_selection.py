@@ -8,12 +8,12 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.control.presets import ControlStudy
-from ovibjax.control_cards import MODE_COLOURS, study
+from ovibjax.cards.control_drawing import MODE_COLOURS, study
+from ovibjax.cards.control_study import ControlStudy
+from ovibjax.cards.reproduce import Job
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, interval, positive, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
 
 TITLE = "View-rate selection by context"
 PAPER_SHARE = {"corridor": 0.5, "intersection": 5.7, "repetitive": 14.0}

@@ -9,13 +9,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
+from ovibjax.cards.control_drawing import COLOURS, NAMES, policy_rows, study
+from ovibjax.cards.control_study import BUDGETS_KB, DRIFT_SCALES, ControlStudy
+from ovibjax.cards.reproduce import Job
 from ovibjax.control.policies import PAPER_BUDGET_KB, POLICIES
-from ovibjax.control.presets import BUDGETS_KB, DRIFT_SCALES, ControlStudy
-from ovibjax.control_cards import COLOURS, NAMES, policy_rows, study
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, Interval, interval, positive, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
 
 TITLE = "VOI-Control: prediction, budget search, held-out routes"
 

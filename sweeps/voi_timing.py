@@ -6,12 +6,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from ovibjax.control.presets import ControlStudy
-from ovibjax.control_cards import representative, study
+from ovibjax.cards.control_drawing import representative, study
+from ovibjax.cards.control_study import ControlStudy
+from ovibjax.cards.reproduce import Job
+from ovibjax.cards.timeline import draw_timeline, time_s
 from ovibjax.report.claims import NOT_HELD, Claim, above, interval, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
-from ovibjax.timeline import draw_timeline, time_s
 
 TITLE = "VOI-Control request timing on a held-out route"
 

@@ -11,19 +11,19 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 
-from ovibjax import system
-from ovibjax.control.presets import drives_of
+from ovibjax.cards.control_study import drives_of
+from ovibjax.cards.reproduce import Job
+from ovibjax.cards.scheduling_drawing import COLOURS, NAMES
 from ovibjax.features.frames import CONTEXTS
-from ovibjax.progress import progress_bar
 from ovibjax.report import figures as fig
 from ovibjax.report.best import choose
 from ovibjax.report.claims import HELD, NOT_HELD, Claim, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.reproduce import Job
+from ovibjax.runtime.progress import progress_bar
 from ovibjax.scheduling.priority import POLICIES
-from ovibjax.scheduling_cards import COLOURS, NAMES
-from ovibjax.system_data import SystemSize, make_system
-from ovibjax.system_sweep import sweep_system
+from ovibjax.system import chain as system
+from ovibjax.system.data import SystemSize, make_system
+from ovibjax.system.grids import sweep_system
 
 TITLE = "Walkthrough: from a town to a plot, in Python"
 SEEDS = {"smoke": 1, "quick": 2, "full": 3}

@@ -1,1 +1,1 @@
-"""Request control: what a client believes, when it asks the edge, and with which views and prefix."""
+"""When and how a client asks the edge: belief, value of information, request policies, route replay."""

@@ -21,9 +21,9 @@ from ovibjax.control.residuals import (
     train_checkpoint,
 )
 from ovibjax.control.world import PAPER_SLOTS, Route
-from ovibjax.features.embedded import town_features
 from ovibjax.features.frames import CONTEXTS, FeatureSet
-from ovibjax.features.town import TownConfig
+from ovibjax.world.town.feature_set import town_features
+from ovibjax.world.town.layout import TownConfig
 
 TOWN = TownConfig(seed=2, size_m=180.0)
 DRIVES = 6

@@ -1,1 +1,1 @@
-"""The edge server: retrieval, position estimate and error metrics."""
+"""The edge server: localizer, retrieval over scenes and tiles, view fusion, and how a code is judged."""

@@ -14,10 +14,10 @@ import numpy as np
 from ovibjax.edge.fusion import calibrate, fold_error_m, fold_similarity, fused_descriptor, kept_weights, spatial_folds
 from ovibjax.edge.localize import errors, mix, select_eta
 from ovibjax.edge.retrieval import brute_force
-from ovibjax.encoder.early import fit_early
+from ovibjax.encoder.early_stopping import fit_early
 from ovibjax.encoder.loss import make_hypers
+from ovibjax.encoder.member_data import Standardizer
 from ovibjax.encoder.model import Params, decode, encode, locate
-from ovibjax.encoder.prepare import Standardizer
 from ovibjax.encoder.train import TrainConfig, TrainData
 from ovibjax.features.basis import fit_basis, project
 from ovibjax.features.frames import FeatureSet

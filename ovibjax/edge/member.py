@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ovibjax.edge.evaluate import judge_prefixes
+from ovibjax.edge.judging import judge_prefixes
 from ovibjax.edge.localize import errors, summarize
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, positions_m
 from ovibjax.encoder.loss import Hypers, make_hypers
+from ovibjax.encoder.member_data import Member
 from ovibjax.encoder.model import Architecture, Params, encode
-from ovibjax.encoder.prepare import Member
 from ovibjax.encoder.rate import active_dims
 from ovibjax.encoder.train import TrainConfig, fit
 from ovibjax.views import full_mode, mode_mask

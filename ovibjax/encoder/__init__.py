@@ -1,1 +1,1 @@
-"""The scalable O-VIB encoder: model, rate terms, objective, training and baselines."""
+"""The O-VIB encoder: network, composite loss, rate terms, training, rivals and information-theoretic bounds."""

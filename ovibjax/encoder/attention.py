@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.encoder.loss import Hypers
+from ovibjax.encoder.member_data import Standardizer
 from ovibjax.encoder.model import Params
-from ovibjax.encoder.prepare import Standardizer
 from ovibjax.encoder.train import TrainConfig, TrainData, make_epoch, make_optimizer, schedule_of
 from ovibjax.views import mask_table
 

@@ -17,7 +17,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from ovibjax.encoder.products import dot_general
+from ovibjax.runtime.precision import dot_general
 
 Params = dict[str, Any]
 """Parameters of the network: nested dictionaries of float32 arrays."""

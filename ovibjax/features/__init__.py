@@ -1,1 +1,1 @@
-"""Where data begins: the embedded world, image backbones and feature sets."""
+"""Feature sets: unit-norm view features with poses, their files, their per-view principal basis."""

@@ -1,1 +1,1 @@
-"""The wireless link: request packets and latency."""
+"""The wireless uplink: request packets, latency, the block-fading channel, measured throughput traces."""

@@ -1,1 +1,1 @@
-"""General tools for results: claims, figure style, the results page."""
+"""Claims, figures, tables and pages: general tools that know nothing of localization."""

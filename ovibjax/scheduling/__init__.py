@@ -1,1 +1,1 @@
-"""Edge scheduling: which waiting request is served next."""
+"""Whom the edge serves next: five rules, exact queue replay, the slotted optimizer and its theorem."""

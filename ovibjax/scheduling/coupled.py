@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from ovibjax.control import belief
 from ovibjax.control.actions import ACTIONS, ActionSet
-from ovibjax.control.replay import Params, Slot, SlotInfo, State, decide, observe, respond, slots_of, start
+from ovibjax.control.route_replay import Params, Slot, SlotInfo, State, decide, observe, respond, slots_of, start
 from ovibjax.control.world import SLOT_S, Draws, Route
 from ovibjax.edge.service import draw_ms, estimate_ms
 from ovibjax.link.latency import JETSON, compute_ms_at, transmit_s

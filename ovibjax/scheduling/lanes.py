@@ -27,7 +27,7 @@ from ovibjax.scheduling.priority import (
     timing,
     weighted_sum,
 )
-from ovibjax.scheduling.replay import served_order, to_trace_order
+from ovibjax.scheduling.queue_replay import served_order, to_trace_order
 from ovibjax.scheduling.requests import NEVER, Requests, RequestTrace, SplitTrace, check, sort_requests, split_times
 
 SLOTS = 32

@@ -4,8 +4,8 @@ from ovibjax import sweep
 dataset = sweep.run(fn, {"beta": [1e-4, 1e-3], "gamma": [0, 0.1], "seed": range(5)}, data, store="runs/mine.zarr")
 """
 
+from ovibjax.sweep.engine import Interrupted, run
 from ovibjax.sweep.grid import Axis
-from ovibjax.sweep.run import Interrupted, run
 from ovibjax.sweep.select import best, take, tree_of
 from ovibjax.sweep.store import open_dataset
 from ovibjax.sweep.work import Along

@@ -28,9 +28,9 @@ import numpy as np
 
 import ovibjax
 from ovibjax.errors import InputError
+from ovibjax.sweep.engine import Executor
 from ovibjax.sweep.grid import PADDING
 from ovibjax.sweep.layout import Layout, digest
-from ovibjax.sweep.run import Executor
 from ovibjax.sweep.store import Store, attach
 from ovibjax.sweep.work import Block, Work
 

@@ -18,9 +18,9 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
 from ovibjax.errors import InputError
+from ovibjax.runtime.threads import workers
 from ovibjax.sweep.grid import Grid
 from ovibjax.sweep.memory import available_bytes, live_bytes
-from ovibjax.threads import workers
 
 MemberFn = Callable[[jax.Array, dict[str, jax.Array], Any], Mapping[str, Any]]
 """`fn(key, point, shared) -> dict of arrays`, pure."""

@@ -40,12 +40,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ovibjax.cards.synthetic_database import Database, recombine
 from ovibjax.edge.retrieval import Index, brute_force, build_index, search
-from ovibjax.edge.synthetic import Database, recombine
-from ovibjax.features.embedded import town_features
 from ovibjax.features.frames import FeatureSet
-from ovibjax.features.town import TownConfig
-from ovibjax.progress import progress_bar
+from ovibjax.runtime.progress import progress_bar
+from ovibjax.world.town.feature_set import town_features
+from ovibjax.world.town.layout import TownConfig
 
 TOWNS, FRAMES, SIZE_M = (5, 6, 7, 8, 9), (919, 919, 919, 918, 918), 220.0
 TILE_M = 30.0

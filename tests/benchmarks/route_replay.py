@@ -50,7 +50,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ovibjax.control.actions import ACTIONS
 from ovibjax.control.policies import Controller, make_controller
-from ovibjax.control.replay import Params, Summary, score
+from ovibjax.control.route_replay import Params, Summary, score
 from ovibjax.control.voi import Prices
 from ovibjax.control.world import Draws, Environment, Route, draw, make_environment
 from tests.control.cases import for_oracle

@@ -38,10 +38,10 @@ import numba
 import numpy as np
 import simpy
 
+from ovibjax.scheduling.clients import default_trace_params, make_trace, synthetic_events
 from ovibjax.scheduling.lanes import run_grid
 from ovibjax.scheduling.priority import SchedulerParams, Weights, default_params, scheduling_value
 from ovibjax.scheduling.requests import RequestTrace, sort_requests, split_times
-from ovibjax.scheduling.traces import default_trace_params, make_trace, synthetic_events
 from tests.oracles import scheduling as oracle
 
 CLIENTS, EVENTS, RATE_KB_PER_S = 30, 22, 4.0

@@ -36,18 +36,18 @@ import jax.numpy as jnp
 import numpy as np
 import torch
 
-from ovibjax import system
 from ovibjax.control.actions import ActionSet
-from ovibjax.control.replay import Params, simulate
 from ovibjax.control.residuals import encode_views, mix_frames
+from ovibjax.control.route_replay import Params, simulate
 from ovibjax.control.scene import embedded_drives
 from ovibjax.control.world import draw
 from ovibjax.encoder.model import dense_layers
 from ovibjax.scheduling.priority import POLICIES, default_params
-from ovibjax.scheduling.replay import waits
+from ovibjax.scheduling.queue_replay import waits
 from ovibjax.scheduling.requests import RequestTrace
-from ovibjax.system_data import SystemSize, make_system
-from ovibjax.system_sweep import sweep_system
+from ovibjax.system import chain as system
+from ovibjax.system.data import SystemSize, make_system
+from ovibjax.system.grids import sweep_system
 from ovibjax.views import mode_mask
 from tests.benchmarks.scheduler import simpy_replay
 from tests.benchmarks.torch_peer import train_member

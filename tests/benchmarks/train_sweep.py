@@ -55,7 +55,7 @@ import torch
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig, TrainData, fit, view_rows
-from ovibjax.sweep.run import run
+from ovibjax.sweep.engine import run
 from ovibjax.sweep.work import Along
 from tests.benchmarks.torch_peer import train_member
 

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ovibjax.control import belief, replay
+from ovibjax.control import belief
+from ovibjax.control import route_replay as replay
 from ovibjax.control.actions import ACTIONS
 from ovibjax.control.belief import Belief
-from ovibjax.control.replay import Params
+from ovibjax.control.route_replay import Params
 from ovibjax.control.world import Route, draw, drift_from_paper, make_environment
 from tests.control.cases import PREDICTED, controller, environment
 from tests.oracles import control as oracle

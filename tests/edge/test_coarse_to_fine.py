@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ovibjax.cards.synthetic_database import SCENE_FRAMES, recombine
 from ovibjax.edge import index as index_module
 from ovibjax.edge import retrieval
 from ovibjax.edge.pruning import Asked, judge_pruning
 from ovibjax.edge.retrieval import build_index, coarse_to_fine, search
-from ovibjax.edge.synthetic import SCENE_FRAMES, recombine
 from ovibjax.errors import InputError
-from ovibjax.features.embedded import town_features
-from ovibjax.features.town import TownConfig
+from ovibjax.world.town.feature_set import town_features
+from ovibjax.world.town.layout import TownConfig
 from tests.oracles import edge as oracle
 
 brute_force = jax.jit(retrieval.brute_force)

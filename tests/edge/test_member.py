@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from ovibjax import sweep
-from ovibjax.edge.ablation import GAMMA, ablate, named, table_rows
-from ovibjax.edge.evaluate import judge_prefixes
+from ovibjax.cards.ablation_study import GAMMA, ablate, named, table_rows
+from ovibjax.edge.judging import judge_prefixes
 from ovibjax.edge.member import DIMS, ORDERINGS, FuseAndLocate, JudgeOrdering, TrainAndJudge, Trained
 from ovibjax.encoder.attention import AttentionConfig
 from ovibjax.encoder.loss import make_hypers
+from ovibjax.encoder.member_data import prepare
 from ovibjax.encoder.model import Architecture, encode
-from ovibjax.encoder.prepare import prepare
 from ovibjax.encoder.rate import active_dims
 from ovibjax.encoder.train import TrainConfig, fit
 from ovibjax.features.frames import make_feature_set

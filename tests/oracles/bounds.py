@@ -45,7 +45,7 @@ def posterior(model):
 
 
 def bounds(model, decoder, beta):
-    """Every field of `ovibjax.encoder.bounds.Bounds` by name."""
+    """Every field of `ovibjax.encoder.information_bounds.Bounds` by name."""
     mean, cov, (x, z, y) = joint(model)
     gain, offset, decoder_cov = (np.asarray(leaf, np.float64) for leaf in decoder)
     latent = len(z)

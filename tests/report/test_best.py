@@ -67,7 +67,7 @@ def test_what_cannot_be_chosen_is_refused(dataset, metric, bounds, message):
 
 def test_the_command_that_reruns_the_point():
     config = {
-        "function": "ovibjax.system.System",
+        "function": "ovibjax.system.chain.System",
         "axes": {"beta": {"values": [1e-4, 1e-3]}, "seed": {"values": [100, 101]}},
         "settings": {"k": [8, 16], "data": "embedded", "kb_per_s": 4.0, "scheduler": ["fifo", "edf"]},
     }

@@ -9,7 +9,7 @@ import pytest
 
 from ovibjax.control.actions import ACTIONS
 from ovibjax.control.policies import make_controller
-from ovibjax.control.replay import Params, simulate
+from ovibjax.control.route_replay import Params, simulate
 from ovibjax.control.world import Route, draw, make_environment
 from ovibjax.scheduling.coupled import CoupledResult, Mission, run
 from ovibjax.scheduling.priority import default_params

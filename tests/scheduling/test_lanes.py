@@ -8,10 +8,10 @@ import pytest
 from ovibjax.scheduling import lanes
 from ovibjax.scheduling.lanes import run_grid
 from ovibjax.scheduling.priority import SchedulerParams, ValueCoefficients, Weights, default_params
-from ovibjax.scheduling.replay import waits
+from ovibjax.scheduling.queue_replay import waits
 from tests.oracles import scheduling as oracle
 from tests.scheduling.random_requests import KINDS, random_trace, stack, take
-from tests.scheduling.test_replay import expected_waits
+from tests.scheduling.test_queue_replay import expected_waits
 
 N, LANES = 40, 20
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.sweep.run import run
+from ovibjax.sweep.engine import run
 from ovibjax.sweep.work import Along
 
 ROOT = Path(__file__).parents[2]

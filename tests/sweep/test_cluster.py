@@ -18,7 +18,7 @@ import pytest
 from ovibjax.errors import InputError
 from ovibjax.sweep import cluster
 from ovibjax.sweep.cluster import on_ray
-from ovibjax.sweep.run import run
+from ovibjax.sweep.engine import run
 from ovibjax.sweep.store import open_dataset
 from tests.sweep.members import with_devices
 
@@ -197,7 +197,7 @@ SCRIPT = """
 import sys
 import jax, jax.numpy as jnp
 from ovibjax.sweep.cluster import on_ray
-from ovibjax.sweep.run import Interrupted, run
+from ovibjax.sweep.engine import Interrupted, run
 
 WIDTH = 64
 

@@ -99,7 +99,7 @@ def test_available_bytes_is_a_sane_number():
 BIG = """
 import re
 import jax, jax.numpy as jnp
-from ovibjax.sweep.run import run
+from ovibjax.sweep.engine import run
 
 def big(key, point, shared):
     x = jnp.full(5_000_000, point["rate"])  # 20 MB

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ovibjax.sweep import program
+from ovibjax.sweep.engine import run
 from ovibjax.sweep.grid import make_chunks, make_grid
 from ovibjax.sweep.program import choose_shape, flatten, trace_member
-from ovibjax.sweep.run import run
 from ovibjax.sweep.work import Along
 from tests.sweep.members import cases, finish, small, start, sweep
 

@@ -14,8 +14,8 @@ import pytest
 
 from ovibjax.errors import InputError
 from ovibjax.sweep import program, work
+from ovibjax.sweep.engine import run
 from ovibjax.sweep.grid import Axis
-from ovibjax.sweep.run import run
 from ovibjax.sweep.store import config_of, open_dataset
 from ovibjax.sweep.work import Along
 from tests.sweep.members import finish, same, small, start, sweep, train, tree_hash
@@ -213,7 +213,7 @@ def test_more_devices_than_there_are_is_refused(begun, monkeypatch):
         config["execution"]["devices"] = 8
         return config
 
-    monkeypatch.setattr(sys.modules["ovibjax.sweep.run"], "config_of", held)
+    monkeypatch.setattr(sys.modules["ovibjax.sweep.engine"], "config_of", held)
     assert "8 devices; here are 1" in refusal(begun)
 
 

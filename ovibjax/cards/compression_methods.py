@@ -1,0 +1,126 @@
+"""The compression methods that are compared under one frozen localizer: how each is trained and judged.
+
+`ovib` is the scalable model; `vib` the same without the orthogonality penalty; `fixed_<K>` a fixed-rate O-VIB of its
+own latent dimension K with the ARD prior; `pca` the linear code at the same number of floats; `raw` no compression.
+`pca` and `raw` need no training of their own and are judged with `ovib`'s localizer.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ovibjax.edge.judging import Judged, judge_prefixes, judge_raw
+from ovibjax.encoder.loss import Hypers, make_hypers
+from ovibjax.encoder.member_data import Member
+from ovibjax.encoder.model import Architecture, Params
+from ovibjax.encoder.pca import fit_pca
+from ovibjax.encoder.train import TrainConfig, fit
+from ovibjax.views import full_mode, mode_mask, modes_for
+
+LATENT = 128
+"""Full latent dimension K of the nested models."""
+
+FIXED = (32, 128)
+"""Latent dimensions of the fixed-rate bank."""
+
+TRAINED = ("ovib", "vib", *(f"fixed_{k}" for k in FIXED))
+"""Methods that are trained."""
+
+SPARSE_PREFIXES = (4, 6, 8, 12, 16, 20, 24, 28, 32, 35, 48, 64, 96, 128)
+"""Prefixes at which the rivals of `ovib` are judged; `ovib` is judged at every one."""
+
+_fit = jax.jit(fit, static_argnames="static")
+_judge_prefixes = jax.jit(judge_prefixes, static_argnames=("arch", "recode"))
+judge_raw_jit = jax.jit(judge_raw, static_argnames="arch")
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to train.
+
+    Attributes:
+        steps: steps of the nested models.
+        fixed_steps: steps of the fixed-rate models, which learn one rate only.
+        lr: peak learning rate.
+    """
+
+    steps: int
+    fixed_steps: int
+    lr: float
+
+
+class Outcome(NamedTuple):
+    """What one trained method contributes on one seed; arrays on the host.
+
+    Attributes:
+        params: the trained network.
+        judged: outcome per method (`ovib` brings `pca` and `raw`), leading axis its prefixes.
+        recoded: the same where the database passes through the code too (`ovib` only).
+        raw_mode_m: mean error of uncompressed features by view mode (`ovib` only).
+        losses: [epochs] loss and its terms.
+    """
+
+    params: Params
+    judged: dict[str, Judged]
+    recoded: dict[str, Judged]
+    raw_mode_m: dict[str, float]
+    losses: dict[str, np.ndarray]
+
+
+def prefixes_of(method: str) -> np.ndarray:
+    """Prefix lengths a method is judged at."""
+    if method == "ovib":
+        return np.arange(1, LATENT + 1)
+    return np.array([int(method.removeprefix("fixed_"))] if method.startswith("fixed_") else SPARSE_PREFIXES)
+
+
+def train_config(method: str, member: Member, effort: Effort) -> TrainConfig:
+    """Static choices of a trained method."""
+    views, dim = member.train.x.shape[1:]
+    arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
+    base = TrainConfig(arch=arch, steps=effort.steps, precision="bfloat16")
+    if not method.startswith("fixed_"):
+        return base
+    latent = int(method.removeprefix("fixed_"))
+    return replace(base, arch=replace(arch, latent=latent), prefixes=(latent,), prior="ard", steps=effort.fixed_steps)
+
+
+def hypers_of(method: str, effort: Effort) -> Hypers:
+    """The paper's weights; plain VIB has no orthogonality penalty."""
+    return make_hypers(gamma=0.0 if method == "vib" else 0.1, lr=effort.lr)
+
+
+def run_method(method: str, seed: int, member: Member, effort: Effort) -> Outcome:
+    """Train one method on one seed and judge it, in the mode that uses every view.
+
+    Args:
+        method: one of `TRAINED`.
+        seed: initialisation, minibatch order and noise; shared by all methods.
+        member: the seed's data.
+        effort: how long to train.
+
+    Returns:
+        The outcome, on the host.
+    """
+    static = train_config(method, member, effort)
+    views = static.arch.n_views
+    params, losses = _fit(jax.random.key(seed), hypers_of(method, effort), member.train, static)
+    mask = mode_mask(full_mode(views), views)
+    judge = partial(_judge_prefixes, params, member, static.arch, mask)
+    judged = {method: judge(jnp.asarray(prefixes_of(method)))}
+    recoded: dict[str, Judged] = {}
+    raw_mode_m: dict[str, float] = {}
+    if method == "ovib":
+        sparse = jnp.array(SPARSE_PREFIXES)
+        pca = fit_pca(member.train.x.reshape(len(member.train.x), -1), static.arch.latent)
+        judged["pca"] = judge(sparse, pca=pca)
+        recoded = {"ovib": judge(sparse, recode=True), "pca": judge(sparse, pca=pca, recode=True)}
+        raw = {name: judge_raw_jit(params, member, static.arch, mode_mask(name, views)) for name in modes_for(views)}
+        judged["raw"] = jax.tree.map(lambda x: x[None], raw[full_mode(views)])
+        raw_mode_m = {name: float(jnp.mean(value.test_error_m)) for name, value in raw.items()}
+    params, judged, recoded, losses = jax.device_get((params, judged, recoded, losses))
+    return Outcome(params, judged, recoded, raw_mode_m, losses)

@@ -1,0 +1,138 @@
+"""The request-control study that the paper's figures share: sizes by preset, computed once per process."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ovibjax.control.policies import Controller
+from ovibjax.control.policy_study import (
+    Outcome,
+    Setting,
+    StudySize,
+    routes_for_seeds,
+    run_study,
+)
+from ovibjax.control.residuals import CheckpointConfig
+from ovibjax.control.route_replay import RouteResult
+from ovibjax.control.scene import DRIVES, Scene, embedded_drives, halves, make_scene
+from ovibjax.control.world import PAPER_SLOTS, Environment, Route, make_environment
+from ovibjax.features.frames import FeatureSet, content_hash
+
+PAPER_PROFILE_KB_PER_S = 8.0
+DRIFT_SCALES, BUDGETS_KB = (0.5, 1.0, 2.0), (1.05, 2.1, 4.2)
+
+
+@dataclass(frozen=True)
+class ControlPreset:
+    """Size of the study.
+
+    Attributes:
+        slots: slots per drive.
+        drives: drives through the embedded town, half of them held out.
+        size: candidates and seeds.
+        sensitivity: whether drift and budget are varied.
+        checkpoint: static choices of the encoder.
+    """
+
+    slots: int
+    drives: int
+    size: StudySize
+    sensitivity: bool
+    checkpoint: CheckpointConfig
+
+
+PRESETS = {
+    "smoke": ControlPreset(60, 2, StudySize(8, 2, 4), False, CheckpointConfig(steps=20, mixed=256)),
+    "quick": ControlPreset(PAPER_SLOTS, DRIVES, StudySize(256, 8, 30), True, CheckpointConfig()),
+    "full": ControlPreset(PAPER_SLOTS, DRIVES, StudySize(512, 16, 120), True, CheckpointConfig()),
+}
+
+
+@dataclass(frozen=True)
+class ControlStudy:
+    """Everything the figures of request control show; arrays on the host.
+
+    Attributes:
+        scene: routes, residuals and predictor.
+        settings: [settings] drift, budget and link; the first is the paper's.
+        outcome: search and held-out summaries, leading axis [settings].
+        env: the environment of the first setting.
+        control: the chosen configuration at the first setting.
+        routes: [seeds, T, ...] held-out route of each seed.
+        runs: histories [seeds, T] of the policies in `study.SHOWN` at the first setting.
+        seeds: held-out seeds.
+    """
+
+    scene: Scene
+    settings: Setting
+    outcome: Outcome
+    env: Environment
+    control: Controller
+    routes: Route
+    runs: dict[str, RouteResult]
+    seeds: list[int]
+
+    def of(self, policy: str, metric: str, setting: int = 0) -> np.ndarray:
+        """[seeds] a held-out metric of a policy."""
+        return np.asarray(getattr(self.outcome.held_out[policy], metric))[setting].astype(np.float64)
+
+
+def drives_of(
+    preset: str, data: FeatureSet | None, on_frames: Callable[[int, int], None] | None = None
+) -> tuple[list[FeatureSet], int]:
+    """The drives a study is about.
+
+    Args:
+        preset: a key of `PRESETS`.
+        data: frames of somebody's own route; the embedded scene if None.
+        on_frames: called with (done, total) as frames are rendered.
+
+    Returns:
+        A feature set per drive, and how many of them, from the first, are training routes.
+    """
+    if data is not None:
+        return halves(data), 1
+    size = PRESETS[preset]
+    return embedded_drives(size.slots, size.drives, on_frames), size.drives // 2
+
+
+_made: dict[Any, ControlStudy] = {}
+
+
+def control_study(preset: str, first_seed: int, drives: list[FeatureSet], training: int) -> ControlStudy:
+    """The study of a preset; figures that follow one another in a process share it.
+
+    Args:
+        preset: a key of `PRESETS`.
+        first_seed: first held-out seed.
+        drives: see `drives_of`.
+        training: number of training routes among them.
+
+    Returns:
+        The study.
+    """
+    key = (preset, first_seed, training, *map(content_hash, drives))
+    if key not in _made:
+        _made.clear()
+        _made[key] = _make(PRESETS[preset], first_seed, make_scene(drives, training, PRESETS[preset].checkpoint))
+    return _made[key]
+
+
+def _make(preset: ControlPreset, first_seed: int, scene: Scene) -> ControlStudy:
+    points = [(1.0, BUDGETS_KB[1])]
+    if preset.sensitivity:
+        points += [(d, b) for d in DRIFT_SCALES for b in BUDGETS_KB if (d, b) != points[0]]
+    scales, budgets = zip(*points, strict=True)
+    profile = [PAPER_PROFILE_KB_PER_S] * len(points)
+    settings = Setting(*(jnp.asarray(column, jnp.float32) for column in (scales, budgets, profile)))
+    outcome = jax.device_get(run_study(scene, settings, preset.size, first_seed))
+    seeds = [first_seed + i for i in range(preset.size.held_out_seeds)]
+    env = make_environment(scene.context_share, PAPER_PROFILE_KB_PER_S)
+    control = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), outcome.control)
+    runs = jax.tree.map(lambda leaf: leaf[0], outcome.histories)
+    routes = jax.device_get(routes_for_seeds(scene, seeds))
+    return ControlStudy(scene, jax.device_get(settings), outcome, env, control, routes, runs, seeds)

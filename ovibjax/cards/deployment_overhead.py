@@ -1,0 +1,74 @@
+"""What deploying each method costs: models, storage, rates, latency of encoding and transmission."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from ovibjax.cards.compression_methods import FIXED, LATENT
+from ovibjax.cards.compression_results import Results
+from ovibjax.encoder.member_data import Member
+from ovibjax.encoder.model import Architecture, encode, parameter_bytes
+from ovibjax.link.latency import JETSON, LatencyProfile, kbytes_per_s, measure_host, semantic_latency_ms
+
+
+def measure_encoder(results: Results, member: Member) -> LatencyProfile:
+    """Time to encode one frame on this machine, after feature extraction."""
+    views, dim = member.train.x.shape[1:]
+    arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
+    params = next(iter(results.outcomes.values()))["ovib"].params
+    x = member.test_x[:1].reshape(1, -1)
+    jitted = jax.jit(lambda params, x: encode(params, x, arch)[0])
+    return measure_host(lambda k: np.asarray(jitted(params, x))[:, :k], (16, 32, 35, 128))
+
+
+def overhead_rows(
+    results: Results,
+    host: LatencyProfile,
+    basis_bytes: int,
+    link_kb_per_s: float,
+    paper_ms: Mapping[int, float],
+) -> list[dict[str, Any]]:
+    """The paper's table "Deployment overhead", with a column for this machine.
+
+    Args:
+        results: outcomes of all methods.
+        host: encoding times of this machine.
+        basis_bytes: size of the per-view basis; storage adds encoder, decoder and localizer head in float32.
+        link_kb_per_s: link throughput, KB/s.
+        paper_ms: the paper's latency by prefix length.
+
+    Returns:
+        One row per deployment.
+    """
+    networks = next(iter(results.outcomes.values()))
+    size_mb = {m: (parameter_bytes(o.params) + basis_bytes) / 1e6 for m, o in networks.items()}
+
+    def latency(profile: LatencyProfile, k: int) -> float:
+        return float(semantic_latency_ms(profile, k, kbytes_per_s(link_kb_per_s)))
+
+    def row(name: str, models: int, storage_mb: float, rates: int, ks: tuple[int, ...]) -> dict[str, Any]:
+        span = ["-".join(f"{latency(profile, k):.1f}" for k in ks) for profile in (JETSON, host)]
+        return {
+            "method": name,
+            "models": models,
+            "storage_mb": f"{storage_mb:.1f}",
+            "rates": rates,
+            "jetson_ms": span[0],
+            "paper_ms": "-".join(str(paper_ms[k]) for k in ks) if all(k in paper_ms for k in ks) else "-",
+            "this_host_ms": span[1],
+        }
+
+    small, large = (f"fixed_{k}" for k in FIXED)
+    scalable = size_mb["ovib"]
+    rows = [
+        row("Fixed-rate O-VIB-32", 1, size_mb[small], 1, (32,)),
+        row("Fixed-rate O-VIB-128", 1, size_mb[large], 1, (128,)),
+        row("Fixed-rate bank {32 128}", 2, size_mb[small] + size_mb[large], 2, FIXED),
+        row("Scalable O-VIB k=35", 1, scalable, LATENT, (35,)),
+        row("Scalable O-VIB k=16", 1, scalable, LATENT, (16,)),
+    ]
+    if results.chosen not in (16, 35):
+        rows.append(row(f"Scalable O-VIB k={results.chosen} (selected)", 1, scalable, LATENT, (results.chosen,)))
+    return rows

@@ -1,0 +1,120 @@
+"""The command `ovibjax features`: somebody's images and poses to a feature file."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from ovibjax.features.backbones.by_name import BackboneOptions
+from ovibjax.runtime.progress import console, progress_bar
+
+if TYPE_CHECKING:
+    from ovibjax.features.images.folder import OnStep, Skipped
+
+_NAMED = 20  # frames named per reason; the counts are complete
+
+
+@dataclass(frozen=True)
+class Features:
+    """Turn images with poses into a feature file, which `ovibjax reproduce --data` and `replay --data` take.
+
+    SRC is one of
+
+    - a folder: rgb/<Camera>/<frame>.png (or .jpg) and metadata/<frame>.json, or a folder of such towns;
+
+    - an archive: the same as .tar or .tar.gz, read in place and never unpacked;
+
+    - a table: .csv with columns frame,x_m,y_m,z_m,yaw_deg, optionally scene and context, together with --images.
+
+    Cameras are Front Back Left Right and, for a UAV, Down. Images may be of any size.
+
+    Positions and yaw stay in the axes of the data: yaw is measured from x towards y, so that (cos yaw, sin yaw) is the
+    heading in CARLA's left-handed axes as well as in right-handed ones.
+
+    Finished batches are kept in FILE.npz.partial/: after Ctrl-C, a crash or a kill, the same command goes on there and
+    ends with the same bytes.
+
+    Example: ovibjax features my.csv --images 'images/{view}/{frame}.jpg' --out mine.npz
+    """
+
+    src: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]
+    """A folder, a .tar or .tar.gz, or a .csv."""
+    out: Path
+    """The .npz file to write."""
+    backbone: str = "embedded"
+    """Image encoder."""
+    images: str | None = None
+    """For a table: where images lie, relative to it: {view} or {view:lower}, {frame} or {frame:06d}, and {scene} are
+    filled in."""
+    views: Literal[4, 5] | None = None
+    """5 (UAV) or 4 (UGV: without Down); by default 5 where there are images of Down."""
+    strict: bool = False
+    """Refuse frames that lack a view or a pose or do not decode, instead of leaving them out."""
+    batch: int = 16
+    """Frames per call of the encoder; memory grows with it, and another value is another extraction."""
+    # The default is frozen, so that instances may share it.
+    onnx: tyro.conf.OmitArgPrefixes[BackboneOptions] = BackboneOptions()  # noqa: RUF009
+    """What an `onnx:FILE` network expects, where its side file does not say so."""
+
+    def run(self) -> None:
+        """Run the command."""
+        from ovibjax.features.frames import MIN_FRAMES
+        from ovibjax.features.images.extraction import check_out, extract
+        from ovibjax.features.images.sources import open_source
+
+        check_out(self.out)
+        with _steps() as on_step:
+            source = open_source(self.src, self.images, self.views, on_step)
+        try:
+            with console.status("opening the encoder"):
+                from ovibjax.features.backbones.by_name import open_backbone
+
+                backbone = open_backbone(self.backbone, self.onnx)
+            description = f"{len(source.frames)} frames through {backbone.name}"
+            with progress_bar(description, len(source.frames), transient=True) as update:
+                done = extract(source, backbone, self.out, self.batch, self.strict, update)
+        finally:
+            source.close()
+        skipped = (*source.skipped, *done.failed)
+        _print_skipped(skipped)
+        n, views, dim = done.features.features.shape
+        again = f" ({done.resumed} of them from the interrupted run)" if done.resumed else ""
+        _say(f"kept {n} of {n + len(skipped)} frames{again}; axes: {source.axes}")
+        _say(f"features: {self.out} [{n}, {views}, {dim}]")
+        if n < MIN_FRAMES:
+            _say(f"note: ovibjax reproduce needs at least {MIN_FRAMES} frames")
+
+
+@contextmanager
+def _steps() -> Iterator["OnStep"]:
+    """One bar after the other, each shown from its first report."""
+    with ExitStack() as stack:
+        shown: dict[str, Callable[..., None]] = {}
+
+        def on_step(description: str, done: int, total: int) -> None:
+            if description not in shown:
+                stack.close()  # only one bar can move at a time
+                shown[description] = stack.enter_context(progress_bar(description, total, transient=True))
+            shown[description](done, total)
+
+        yield on_step
+
+
+def _print_skipped(skipped: tuple["Skipped", ...]) -> None:
+    groups: dict[str, list[Skipped]] = {}
+    for one in skipped:
+        groups.setdefault(one.reason, []).append(one)
+    for reason, cases in groups.items():
+        _say(f"skipped {len(cases)}, {reason}:")
+        for one in cases[:_NAMED]:
+            _say(f"  {one.frame_id}: {one.detail}")
+        if len(cases) > _NAMED:
+            _say(f"  and {len(cases) - _NAMED} more")
+
+
+def _say(text: str) -> None:
+    # Names are somebody else's: no markup, and no line breaks that the name does not have.
+    console.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,138 @@
+"""The command `ovibjax replay`: one route under one or several request policies."""
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ovibjax.errors import InputError
+from ovibjax.runtime.progress import console, progress_bar
+
+if TYPE_CHECKING:
+    from ovibjax.control.route_replay import RouteResult
+    from ovibjax.control.scene import Scene
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Replay a held-out route slot by slot under a request policy, and print what came of it.
+
+    A client dead-reckons along the route and asks the edge for corrections. The default is the embedded town and
+    VOI-Control with the prices that the tuning seeds selected.
+
+    Example: ovibjax replay --policy voi uncertainty --profile 8 --seed 103 --plot
+    """
+
+    policy: tuple[str, ...] = ("voi",)
+    """voi, periodic, budgeted_periodic, fixed_front, random, uncertainty, oracle_action; several are compared on the
+    same drift, channel and queue."""
+    profile: float = 8.0
+    """Mean uplink throughput in KB/s, with block fading around it; the paper's profiles are 4, 8 and 12."""
+    seed: int = 100
+    """One realization of drift, channel, queue and timing. Seeds below 100 are for tuning."""
+    route: int = 0
+    """Which held-out route."""
+    trace: Path | None = None
+    """A measured throughput trace instead of the profile: two columns `time_s Mbit/s`, or a CSV with named columns."""
+    data: Path | None = None
+    """Your own frames, in order and half a second apart (.npz or folder, see `ovibjax reproduce --help`): the first
+    60 % are the training route, the rest is replayed."""
+    budget: float = 2.1
+    """Payload allowed over the route, KB."""
+    drift: float = 1.0
+    """Factor on the drift rates of the odometry."""
+    lambda_b: float | None = None
+    """Price of a second of transmission, m/s."""
+    lambda_d: float | None = None
+    """Price of a second of queueing, service and return, m/s."""
+    threshold: float | None = None
+    """Net VOI above which VOI-Control asks, m."""
+    gap: float | None = None
+    """Shortest time between two requests of VOI-Control, s."""
+    plot: bool = False
+    """Draw the timeline of the first policy."""
+    out: Path = Path("replay.png")
+    """File of the timeline."""
+
+    def run(self) -> None:
+        """Run the command."""
+        self._check()
+        import jax
+
+        from ovibjax.cards.control_study import PRESETS, drives_of
+        from ovibjax.control.policies import make_controller
+        from ovibjax.control.route_replay import Params, replay, summarize
+        from ovibjax.control.scene import make_scene
+        from ovibjax.control.world import SLOT_S, draw, make_environment
+        from ovibjax.features.frames import load, require_frames
+        from ovibjax.link.traces import read_trace, resample
+
+        measured = read_trace(self.trace) if self.trace is not None else None
+        own = None
+        if self.data is not None:
+            own = load(self.data)
+            require_frames(own, source=str(self.data))
+        with progress_bar("rendering the routes", 1) as update:
+            drives, training = drives_of("full", own, update)
+        with console.status("training the checkpoint, retrieving residuals"):
+            scene = make_scene(drives, training, PRESETS["full"].checkpoint)
+        if self.route >= len(scene.held_out):
+            raise InputError(f"--route {self.route}: there are held-out routes 0 to {len(scene.held_out) - 1}")
+        route = jax.tree.map(jax.numpy.asarray, scene.held_out[self.route])
+        given = {"bandwidth_m_per_s": self.lambda_b, "delay_m_per_s": self.lambda_d}
+        given |= {"threshold_m": self.threshold, "min_gap_s": self.gap}
+        control = make_controller(
+            scene.actions, budget_kb=self.budget, **{name: v for name, v in given.items() if v is not None}
+        )
+        env = make_environment(scene.context_share, self.profile, self.drift)
+        params = Params(env, control)
+        draws = draw(jax.random.key(self.seed), route, env, scene.actions)
+        if measured is not None:
+            rate = resample(measured, SLOT_S, len(scene.held_out[self.route].context))
+            draws = draws._replace(rate_bps=jax.numpy.asarray(rate))
+        with console.status("replaying"):
+            runs = {name: jax.device_get(replay(draws, route, name, params, scene.actions)) for name in self.policy}
+        summaries = {name: summarize(run) for name, run in runs.items()}
+        self._print({name: [float(value) for value in summary] for name, summary in summaries.items()})
+        if self.plot:
+            self._draw(runs[self.policy[0]], scene)
+
+    def _check(self) -> None:
+        """Refuse what cannot be replayed before anything is rendered."""
+        from ovibjax.control.policies import POLICIES
+
+        for name in self.policy:
+            if name not in POLICIES:
+                near = difflib.get_close_matches(name, POLICIES, n=1)
+                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(POLICIES)}"
+                raise InputError(f"--policy {name}: no such policy; {hint}")
+        for name in ("seed", "route", "budget", "drift", "lambda_b", "lambda_d", "threshold", "gap"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < float("inf"):
+                raise InputError(f"--{name.replace('_', '-')} {value} is not a number of zero or more")
+        if not 0 < self.profile < float("inf"):
+            raise InputError(f"--profile {self.profile} is not a positive number of KB/s")
+        if self.plot and not self.out.parent.is_dir():
+            raise InputError(f"--out {self.out}: the folder does not exist")
+
+    def _print(self, rows: dict[str, list[float]]) -> None:
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table()
+        columns = ("policy", "mean error (m)", "p95 error (m)", "mean risk (m)", "requests", "payload (KB)")
+        for column in columns:
+            table.add_column(column, justify="left" if column == "policy" else "right")
+        for name, (mean, p95, risk, requests, kb) in rows.items():
+            table.add_row(name, f"{mean:.2f}", f"{p95:.2f}", f"{risk:.2f}", f"{requests:.0f}", f"{kb:.2f}")
+        Console().print(table)
+
+    def _draw(self, run: "RouteResult", scene: "Scene") -> None:
+        from ovibjax.cards.timeline import draw_timeline
+
+        context = scene.held_out[self.route].context
+        try:
+            draw_timeline(self.out, run, context, scene.contexts, scene.actions, self.policy[0])
+        except OSError as error:
+            raise InputError(f"{self.out}: cannot write there ({error.strerror}); choose another --out") from error
+        console.print(f"timeline: {self.out}")

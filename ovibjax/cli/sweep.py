@@ -1,0 +1,289 @@
+"""The commands `ovibjax sweep train` and `ovibjax show`."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from ovibjax.errors import InputError
+from ovibjax.runtime.progress import console, progress_bar
+
+if TYPE_CHECKING:
+    from ovibjax.sweep.engine import Executor
+
+
+@dataclass(frozen=True)
+class SweepTrain:
+    """Train an O-VIB encoder at every point of a grid and judge it at every prefix; one compiled program.
+
+    Give one or more values per axis; every combination is trained once per seed. Members of one seed see the same
+    split, initial weights, minibatches and noise, so that differences between them are paired. Finished members are
+    written to OUT as they come: after Ctrl-C, a crash or a kill, the same command goes on where it stopped.
+
+    Example: ovibjax sweep train --beta 1e-4 1e-3 --gamma 0 0.01 0.1 1 --seed 0:5 --prefix 8 16 35 --out runs/mine.zarr
+    """
+
+    out: Path
+    """The store to write, a folder ending in .zarr; resumed if it holds the same sweep."""
+    beta: tuple[str, ...] = ("1e-3",)
+    """Weights of the rate term."""
+    gamma: tuple[str, ...] = ("0.1",)
+    """Weights of the orthogonality penalty."""
+    alpha: tuple[str, ...] = ("1",)
+    """Weights of the localization term."""
+    lr: tuple[str, ...] = ("2e-3",)
+    """Peak learning rates."""
+    weight_decay: tuple[str, ...] = ("1e-4",)
+    """Weight decays of AdamW."""
+    nesting: tuple[str, ...] = ("1",)
+    """Shares of training examples that see a random prefix; 1 is the paper's nested training, 0 is none."""
+    seed: tuple[str, ...] = ("0:3",)
+    """Seeds, as numbers or ranges: 0:5 is 0 1 2 3 4."""
+    prefix: tuple[str, ...] = ("8", "16", "35", "128")
+    """Prefix lengths to judge at (costs no training)."""
+    mode: tuple[str, ...] = ("all",)
+    """View modes to judge in: F FS H4 A5; all: every view of the platform."""
+    steps: int = 4000
+    """Training steps, rounded up to whole epochs; 8000 for results to publish."""
+    batch: int = 128
+    """Examples per step."""
+    latent: int = 128
+    """Full latent dimension K."""
+    prior: Literal["gaussian", "ard"] = "gaussian"
+    """Prior of the rate term."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Operands of matrix products; bfloat16 is faster on processors with matrix units."""
+    data: Path | None = None
+    """Your own feature set (.npz or folder, see `ovibjax reproduce --help`); the embedded town by default."""
+    rank: int = 64
+    """Principal coordinates kept per view; 0 keeps the full dimension."""
+    keep_params: bool = False
+    """Also store the trained parameters (3 MB per member)."""
+    on: Literal["local", "ray"] = "local"
+    """Where chunks are computed: this machine, or a Ray cluster (extra [cluster])."""
+    address: str | None = None
+    """Address of a running Ray cluster; a local one is started by default. OUT must be visible to its workers."""
+    devices: int | None = None
+    """Split the processor into so many devices; by default chunks run in one thread per core."""
+    chunk: int | None = None
+    """Members per chunk, the unit that is stored; chosen from memory by default."""
+
+    def run(self) -> None:
+        """Run the command."""
+        if self.devices is not None:
+            _split_processor(self.devices)
+        axes, prefixes = self._axes(), self._prefixes()
+        for name in ("steps", "batch", "latent"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name} {getattr(self, name)} is not positive")
+        if self.chunk is not None and self.chunk < 1:
+            raise InputError(f"--chunk {self.chunk} is not positive")
+        if self.address is not None and self.on != "ray":
+            raise InputError("--address is for --on ray")
+        self._train(axes, prefixes, self._executor())
+
+    def _axes(self) -> dict[str, list[Any]]:
+        def at_least(low: float) -> Callable[[float], bool]:
+            return lambda value: value >= low
+
+        axes: dict[str, list[Any]] = {}
+        for name in ("alpha", "beta", "gamma", "weight_decay"):
+            axes[name] = numbers(name, getattr(self, name), at_least(0.0), "zero or more")
+        axes["lr"] = numbers("lr", self.lr, lambda value: value > 0, "positive")
+        axes["nesting"] = numbers("nesting", self.nesting, lambda value: 0 <= value <= 1, "between 0 and 1")
+        axes["seed"] = integers("seed", self.seed, 0, 2**31 - 1)
+        return axes
+
+    def _prefixes(self) -> tuple[int, ...]:
+        return tuple(sorted(integers("prefix", self.prefix, 1, self.latent)))
+
+    def _executor(self) -> "Executor | None":
+        if self.on == "local":
+            return None
+        from ovibjax.sweep.cluster import on_ray
+
+        return on_ray(self.address)
+
+    def _train(self, axes: dict[str, list[Any]], prefixes: tuple[int, ...], executor: "Executor | None") -> None:
+        from ovibjax.cards.reproduce import load_features
+        from ovibjax.edge.member import DIMS, UNITS, TrainAndJudge
+        from ovibjax.encoder.member_data import prepare
+        from ovibjax.encoder.model import Architecture
+        from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
+        from ovibjax.sweep.engine import Interrupted, run
+        from ovibjax.sweep.work import Along
+        from ovibjax.views import full_mode, modes_for
+
+        features, source = load_features(self.data, "full")
+        n_views = features.features.shape[1]
+        modes = (full_mode(n_views),) if self.mode == ("all",) else self.mode
+        for mode in modes:
+            if mode not in modes_for(n_views):
+                raise InputError(f"--mode {mode}: the data have {n_views} views, modes {', '.join(modes_for(n_views))}")
+        members = []
+        with progress_bar("splitting and projecting", len(axes["seed"])) as update:
+            for i, seed in enumerate(axes["seed"], start=1):
+                members.append(prepare(features, seed, self.rank or None)[0])
+                update(i)
+        static = TrainConfig(
+            arch=Architecture(n_views=n_views, view_dim=members[0].train.x.shape[2], latent=self.latent),
+            prefixes=(*(k for k in PAPER_PREFIXES if k < self.latent), self.latent),
+            prior=self.prior,
+            steps=self.steps,
+            batch=self.batch,
+            precision=self.precision,
+        )
+        settings = {"data": source, "rank": self.rank, "steps": self.steps, "batch": self.batch, "latent": self.latent}
+        settings |= {"prior": self.prior, "precision": self.precision, "prefix": list(prefixes), "mode": list(modes)}
+        with progress_bar("training", 1) as update:
+            try:
+                dataset = run(
+                    TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),
+                    axes,
+                    Along("seed", members),
+                    dims=DIMS,
+                    coords={"prefix": list(prefixes), "mode": list(modes)},
+                    units=UNITS,
+                    store=self.out,
+                    settings=settings,
+                    chunk=self.chunk,
+                    executor=executor,
+                    on_progress=update,
+                )
+            except Interrupted as error:
+                done = error.dataset.finished
+                raise KeyboardInterrupt(
+                    f"interrupted; {int(done.sum())} of {done.size} members are in {self.out}: "
+                    "repeat the command to go on"
+                ) from None
+        diverged = int(dataset.diverged.sum())
+        note = f", {diverged} diverged" if diverged else ""
+        console.print(f"{dataset.finished.size} members{note}: {self.out}\nlook at them: ovibjax show {self.out}")
+
+
+@dataclass(frozen=True)
+class Show:
+    """Show the results of a sweep: a table here, a CSV file, or a plot; also while the sweep is running.
+
+    Example: ovibjax show runs/mine.zarr --metric test_mean_m --where prefix=35 --plot gamma --hue beta
+    """
+
+    path: tyro.conf.Positional[Path]
+    """The store, a folder that `ovibjax sweep` wrote."""
+    metric: str | None = None
+    """What to show; all metrics by default."""
+    where: tuple[str, ...] = ()
+    """Points to keep, e.g. prefix=16,35 beta=1e-3."""
+    over: str = "seed"
+    """The axis to average over, with 95 % intervals."""
+    rows: int = 40
+    """Rows of the table at most."""
+    csv: Path | None = None
+    """Write every member as a row of this CSV file."""
+    plot: str | None = None
+    """Plot the metric against this axis."""
+    hue: str | None = None
+    """One line per value of this axis."""
+    out: Path | None = None
+    """File of the plot (.png, .pdf or .svg); PATH with .png by default."""
+
+    def run(self) -> None:
+        """Run the command."""
+        from rich.console import Console
+
+        from ovibjax.report.labels import select
+        from ovibjax.report.lines import plot
+        from ovibjax.report.show import table, write_csv
+        from ovibjax.sweep.store import open_dataset
+
+        dataset = select(open_dataset(self.path), self.where)
+        if self.csv is not None:
+            _writing(self.csv, lambda path: write_csv(dataset, path))
+        if self.plot is not None:
+            _writing(
+                self.out or self.path.with_suffix(".png"),
+                lambda path: plot(dataset, path, self.plot or "", self.metric, self.hue, self.over),
+            )
+        if self.csv is None and self.plot is None:
+            Console().print(table(dataset, self.metric, self.over, self.rows))
+
+
+def numbers(name: str, items: Sequence[str], valid: Callable[[float], bool], rule: str) -> list[float]:
+    """Values of a real axis.
+
+    Args:
+        name: the axis.
+        items: what was typed.
+        valid: whether a value is possible.
+        rule: what possible values are, in words.
+
+    Returns:
+        The values, in the order given.
+
+    Raises:
+        InputError: not a number, or an impossible one.
+    """
+    values = []
+    for item in items:
+        try:
+            value = float(item)
+        except ValueError:
+            raise InputError(f"--{name} {item}: not a number; values are {rule}") from None
+        if not valid(value) or value in (float("inf"), float("-inf")):
+            raise InputError(f"--{name} {item}: values are {rule}")
+        values.append(value)
+    if not values:
+        raise InputError(f"--{name} has no value; values are {rule}")
+    return values
+
+
+def integers(name: str, items: Sequence[str], low: int, high: int) -> list[int]:
+    """Values of a whole-number axis; FROM:TO stands for FROM ... TO-1.
+
+    Args:
+        name: the axis.
+        items: what was typed.
+        low: smallest possible value.
+        high: largest possible value.
+
+    Returns:
+        The values, in the order given.
+
+    Raises:
+        InputError: not a whole number or range, or an impossible one.
+    """
+    values: list[int] = []
+    for item in items:
+        first, colon, last = item.partition(":")
+        try:
+            found = range(int(first), int(last)) if colon else [int(item)]
+        except ValueError:
+            raise InputError(f"--{name} {item}: not a whole number or a range such as 0:5") from None
+        if not found:
+            raise InputError(f"--{name} {item}: the range is empty")
+        if min(found) < low or max(found) > high:
+            raise InputError(f"--{name} {item}: values are {low} to {high}")
+        values.extend(found)
+    if not values:
+        raise InputError(f"--{name} has no value")
+    return values
+
+
+def _writing(path: Path, write: Callable[[Path], Any]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot write there ({error.strerror}); choose another file") from error
+    console.print(f"written: {path}")
+
+
+def _split_processor(devices: int) -> None:
+    """Must happen before jax starts, which is why commands import it late."""
+    if devices < 1:
+        raise InputError(f"--devices {devices} is not positive")
+    flags = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={devices}".strip()

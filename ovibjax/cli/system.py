@@ -1,0 +1,158 @@
+"""The commands `ovibjax sweep system` and `ovibjax best`."""
+
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from ovibjax.cli.sweep import integers, numbers
+from ovibjax.errors import InputError
+from ovibjax.runtime.progress import console, progress_bar
+
+
+@dataclass(frozen=True)
+class SweepSystem:
+    """Run the whole system at every point of a grid: encoder, retrieval, request control, edge queue; one program.
+
+    A member is trained once per (beta, gamma, seed); its prefixes k, values of V and schedulers cost no training.
+    Members of one seed share initial weights, minibatches, drift, channel and service times, so that differences
+    between them are paired. Finished members are written to OUT as they come, and the same command goes on there.
+
+    Example: ovibjax sweep system --beta 1e-4 1e-3 --k 16 32 --V 0 8 64 --seed 100:105 --out runs/system.zarr
+    """
+
+    out: Path
+    """The store to write, a folder ending in .zarr; resumed if it holds the same sweep."""
+    beta: tuple[str, ...] = ("1e-3",)
+    """Weights of the rate term."""
+    gamma: tuple[str, ...] = ("0.1",)
+    """Weights of the orthogonality penalty."""
+    k: tuple[str, ...] = ("8", "16", "32", "64")
+    """Prefix lengths that requests carry."""
+    V: tuple[str, ...] = ("8",)
+    """Weights of VOI against backlog in Base-DPP."""
+    scheduler: tuple[str, ...] = ("all",)
+    """Rules at the edge: fifo edf maxweight base_dpp voi_lyapunov; all by default."""
+    seed: tuple[str, ...] = ("100:103",)
+    """Seeds, as numbers or ranges: 100:105 is 100 101 102 103 104. Those below 100 are for tuning."""
+    policy: Literal["voi", "uncertainty", "fixed_front", "periodic", "budgeted_periodic", "random", "oracle_action"] = (
+        "voi"
+    )
+    """When clients ask the edge."""
+    steps: int = 600
+    """Training steps."""
+    clients: int = 6
+    """Clients replayed, each with drift and channel of its own."""
+    fleet: int = 30
+    """Clients N on each edge server."""
+    kb_per_s: float = 4.0
+    """Uplink rate, KB/s of 1,024 bytes."""
+    data: Path | None = None
+    """Your own feature set: frames of one route in order, half a second apart, the first 60 % for training."""
+    chunk: int | None = None
+    """Members per chunk, the unit that is stored; one by default, so that a point alone has the bits of the grid."""
+
+    def run(self) -> None:
+        """Run the command."""
+        from ovibjax.scheduling.priority import POLICIES
+
+        at_least_zero = (lambda value: value >= 0, "zero or more")
+        axes: dict[str, list[Any]] = {
+            "beta": numbers("beta", self.beta, *at_least_zero),
+            "gamma": numbers("gamma", self.gamma, *at_least_zero),
+            "seed": integers("seed", self.seed, 0, 2**31 - 1),
+        }
+        from ovibjax.system.data import PREFIXES
+
+        along: dict[str, list[Any]] = {"k": sorted(set(integers("k", self.k, 1, max(PREFIXES))))}
+        along["V"] = numbers("V", self.V, *at_least_zero)
+        schedulers = POLICIES if self.scheduler == ("all",) else self.scheduler
+        for name in schedulers:
+            if name not in POLICIES:
+                raise InputError(f"--scheduler {name}: there are {', '.join(POLICIES)}")
+        for name in ("steps", "clients", "fleet", "chunk"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InputError(f"--{name} {value} is not positive")
+        if not self.kb_per_s > 0:
+            raise InputError(f"--kb-per-s {self.kb_per_s} is not positive")
+        self._sweep(axes, along, tuple(schedulers))
+
+    def _sweep(self, axes: dict[str, list[Any]], along: dict[str, Any], schedulers: tuple[str, ...]) -> None:
+        from ovibjax.cards.control_study import drives_of
+        from ovibjax.features.frames import load, require_frames
+        from ovibjax.sweep.engine import Interrupted
+        from ovibjax.system.data import SystemSize
+        from ovibjax.system.grids import sweep_system
+
+        own = None
+        if self.data is not None:
+            own = load(self.data)
+            require_frames(own, source=str(self.data))
+        with progress_bar("rendering the routes", 1) as update:
+            drives, training = drives_of("full", own, update)
+        size = SystemSize(steps=self.steps, clients=self.clients, fleet=self.fleet, kb_per_s=self.kb_per_s)
+        settings: dict[str, Any] = {"policy": self.policy, "data": str(self.data) if self.data else "embedded"}
+        settings |= {"steps": self.steps, "clients": self.clients, "fleet": self.fleet, "kb_per_s": self.kb_per_s}
+        settings |= {"k": along["k"], "V": along["V"], "scheduler": list(schedulers)}
+        with progress_bar("training and replaying", 1) as update:
+            try:
+                dataset = sweep_system(
+                    (drives, training, size),
+                    axes,
+                    (along["k"], along["V"], schedulers),
+                    self.policy,
+                    store=self.out,
+                    settings=settings,
+                    chunk=self.chunk or 1,
+                    on_progress=update,
+                )
+            except Interrupted as error:
+                done = error.dataset.finished
+                raise KeyboardInterrupt(
+                    f"interrupted; {int(done.sum())} of {done.size} members are in {self.out}: "
+                    "repeat the command to go on"
+                ) from None
+        lost = int(dataset.unserved.sum())
+        note = f"; {lost} requests exceeded the room kept for them" if lost else ""
+        points = dataset.top_cost.size
+        console.print(f"{points} points{note}: {self.out}\nlook at them: ovibjax show {self.out}")
+
+
+@dataclass(frozen=True)
+class Best:
+    """Print the point of a sweep with the lowest metric under bounds, and the command that reruns it alone.
+
+    Example: ovibjax best runs/system.zarr --minimise mean_route_m --subject-to 'kb<=2.1' 'top_edge_p95_ms<=60'
+    """
+
+    path: tyro.conf.Positional[Path]
+    """The store, a folder that `ovibjax sweep` wrote."""
+    minimise: str
+    """The metric to minimise, averaged over OVER."""
+    subject_to: tuple[str, ...] = ()
+    """Bounds on other metrics: METRIC<=NUMBER, also >=, < and >; in quotes."""
+    where: tuple[str, ...] = ()
+    """Points to choose among, e.g. k=16,32."""
+    over: str = "seed"
+    """The axis to average over."""
+
+    def run(self) -> None:
+        """Run the command."""
+        from ovibjax.report.best import choose, command
+        from ovibjax.report.labels import select, text_of, with_unit
+        from ovibjax.sweep.store import config_of, open_dataset
+
+        dataset = select(open_dataset(self.path), self.where)
+        found = choose(dataset, self.minimise, self.subject_to, self.over)
+        print(", ".join(f"{axis} = {text_of(value)}" for axis, value in found.point.items()))
+        for name, mean in found.means.items():
+            if mean == mean:
+                half = found.halves[name]
+                print(f"  {with_unit(dataset, name)}: {mean:.4g}" + (f" ± {half:.2g}" if isfinite(half) else ""))
+        print(f"  best of {found.feasible} points that keep the bounds, of {found.points}; means over {self.over}")
+        config = config_of(self.path) or {}
+        over = {self.over: found.over} if found.over else {}
+        print(command(config, found.point, over, str(self.path.with_name(f"{self.path.stem}-best.zarr"))))

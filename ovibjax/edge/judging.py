@@ -1,0 +1,147 @@
+"""The frozen-localizer protocol: judge any code of a frame by what one fixed edge localizer makes of it.
+
+The localizer (regression head and database of uncompressed reference descriptors) is fixed after training; a codec
+only changes the descriptor that reaches it. The mixing weight is chosen on validation frames per prefix.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ovibjax.edge.localize import errors, mix, select_eta
+from ovibjax.edge.retrieval import brute_force
+from ovibjax.encoder.member_data import Member
+from ovibjax.encoder.model import Architecture, Params, decode, encode, locate
+from ovibjax.encoder.pca import PCA, pca_reconstruct
+
+
+class Judged(NamedTuple):
+    """Outcome of one code, with leading axes of whatever was mapped.
+
+    Attributes:
+        eta: mixing weight chosen on validation.
+        val_error_m: [V] validation errors.
+        test_error_m: [T] test errors.
+        reg_mean_m: mean test error of regression alone.
+        ret_mean_m: mean test error of retrieval alone.
+    """
+
+    eta: jax.Array
+    val_error_m: jax.Array
+    test_error_m: jax.Array
+    reg_mean_m: jax.Array
+    ret_mean_m: jax.Array
+
+
+Codec = Callable[[jax.Array], jax.Array]
+
+
+def judge(
+    params: Params,
+    member: Member,
+    arch: Architecture,
+    view_mask: jax.Array,
+    codec: Codec,
+    recode: bool = False,
+) -> Judged:
+    """Localize validation and test frames whose descriptors have passed through a codec.
+
+    Args:
+        params: the frozen localizer's parameters.
+        member: data of the split; its training features are the database.
+        arch: widths of the network.
+        view_mask: [M] mask of the view mode.
+        codec: maps masked features [B, M r] to descriptors [B, M r].
+        recode: also pass the database through the codec, so that both sides of the comparison are coded.
+
+    Returns:
+        Errors in metres and the chosen mixing weight.
+    """
+    mask = jnp.repeat(view_mask, arch.view_dim)[None]
+
+    def flat(x: jax.Array) -> jax.Array:
+        return x.reshape(x.shape[0], -1) * mask
+
+    database = flat(member.train.x)
+    database = codec(database) * mask if recode else database
+    n_val = member.val_x.shape[0]
+    descriptor = codec(flat(jnp.concatenate([member.val_x, member.test_x]))) * mask
+    truth = jnp.concatenate([member.val_m, member.test_m])
+    standardized = locate(params, descriptor, arch)
+    reg = member.standardizer.mean_m[None] + member.standardizer.scale_m * standardized
+    ret = member.train_m[brute_force(descriptor, database)]
+    eta = select_eta(reg[:n_val], ret[:n_val], truth[:n_val])
+    error = errors(mix(reg, ret, eta), truth)
+    return Judged(
+        eta=eta,
+        val_error_m=error[:n_val],
+        test_error_m=error[n_val:],
+        reg_mean_m=jnp.mean(errors(reg, truth)[n_val:]),
+        ret_mean_m=jnp.mean(errors(ret, truth)[n_val:]),
+    )
+
+
+def judge_prefixes(
+    params: Params,
+    member: Member,
+    arch: Architecture,
+    view_mask: jax.Array,
+    prefixes: jax.Array,
+    pca: PCA | None = None,
+    recode: bool = False,
+    order: jax.Array | None = None,
+) -> Judged:
+    """Judge every prefix length of one nested code; jitted once, all prefixes are one call.
+
+    Args:
+        params: parameters of the O-VIB network: encoder, decoder and frozen localizer.
+        member: data of the split.
+        arch: widths of the network (static).
+        view_mask: [M] mask of the view mode.
+        prefixes: [P] int32 prefix lengths.
+        pca: use this linear code instead of the network's; the localizer stays the same.
+        recode: also pass the database through the codec.
+        order: [K] coordinates in the order in which they are kept; the learned order by default.
+
+    Returns:
+        `Judged` with leading axis P.
+    """
+    position = jnp.arange(arch.latent) if order is None else jnp.argsort(order)
+
+    def one(k: jax.Array) -> Judged:
+        prefix = (position < k).astype(jnp.float32)
+
+        def codec(x: jax.Array) -> jax.Array:
+            if pca is not None:
+                return pca_reconstruct(pca, x, prefix)
+            mu, _ = encode(params, x, arch)
+            return decode(params, mu * prefix[None], arch)
+
+        return judge(params, member, arch, view_mask, codec, recode)
+
+    return jax.lax.map(one, prefixes)
+
+
+def judge_raw(params: Params, member: Member, arch: Architecture, view_mask: jax.Array) -> Judged:
+    """Judge uncompressed features of a view mode."""
+    return judge(params, member, arch, view_mask, lambda x: x)
+
+
+def one_standard_error_choice(val_error_m: jax.Array, prefixes: jax.Array) -> jax.Array:
+    """Shortest prefix whose validation error is within one standard error of the best one's.
+
+    On a flat curve the plain minimum is a coin toss among long prefixes; this rule takes the cheapest of them.
+
+    Args:
+        val_error_m: [P, V] validation errors per prefix.
+        prefixes: [P] ascending prefix lengths.
+
+    Returns:
+        The chosen prefix length, int32 scalar.
+    """
+    mean = jnp.mean(val_error_m, axis=1)
+    best = jnp.argmin(mean)
+    allowance = jnp.std(val_error_m[best], ddof=1) / jnp.sqrt(jnp.float32(val_error_m.shape[1]))
+    return prefixes[jnp.argmax(mean <= mean[best] + allowance)]

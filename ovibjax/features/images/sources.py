@@ -1,0 +1,204 @@
+"""The released data set: images, poses and scenes of a town, from its folder or its archive; other data as CSV.
+
+A town is `rgb/<Camera>/<frame>.png` (or .jpg, .jpeg), `metadata/<frame>.json` and, optionally,
+`calibration/camera_calibration.json`; `depth` and `semantic` may be there and are not read. Several towns side by side
+are read as several scenes.
+
+Axes: positions and yaw stay in the axes of the data, degrees become radians. CARLA's axes are left-handed and its yaw
+runs clockwise seen from above; those of the embedded town are right-handed and its yaw runs counter-clockwise. In both,
+yaw is measured from x towards y, so that (cos yaw, sin yaw) is the heading and errors in metres mean the same.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ovibjax.errors import InputError
+from ovibjax.features.feature_files import StrPath, refusal
+from ovibjax.features.frames import MAX_ID_CHARS
+from ovibjax.features.images.archive import TarFiles
+from ovibjax.features.images.folder import (
+    IMAGE_SUFFIXES,
+    Files,
+    FolderFiles,
+    Frame,
+    OnStep,
+    Skipped,
+    Source,
+    list_folder,
+    nothing_left,
+)
+from ovibjax.features.images.metadata import Pose, read_axes, read_pose
+from ovibjax.features.images.table import read_table
+from ovibjax.views import VIEWS
+
+_EXPECTED = "rgb/<Camera>/<frame>.png (or .jpg) and metadata/<frame>.json"
+_CALIBRATION = ("calibration", "camera_calibration.json")
+_STEP_FRAMES = 200
+
+
+@dataclass
+class _Town:
+    """Names of the files of one town, by what they are."""
+
+    images: dict[str, dict[str, str]] = field(default_factory=dict)  # camera, frame
+    metadata: dict[str, str] = field(default_factory=dict)  # frame
+    calibration: str | None = None
+
+
+def open_source(
+    path: StrPath, images: str | None = None, n_views: int | None = None, on_step: OnStep | None = None
+) -> Source:
+    """Find frames, poses and images.
+
+    Args:
+        path: a town's folder (or one that holds towns), its `.tar` or `.tar.gz`, or a `.csv` table of poses.
+        images: for a table, where images lie, e.g. `images/{view}/{frame}.jpg`, relative to the table.
+        n_views: 5 (UAV) or 4 (UGV: Front Back Left Right); by default 5 where there are images of Down.
+        on_step: progress.
+
+    Returns:
+        The source, with at least one frame; frames without all views or a finite pose are in `skipped`.
+
+    Raises:
+        InputError: no such source, not one of the three kinds, a camera is missing altogether, or no frame is left.
+    """
+    path = Path(path)
+    if n_views not in (None, 4, 5):
+        raise InputError(f"--views {n_views}: a platform has 5 views (UAV) or 4 (UGV: Front Back Left Right)")
+    try:
+        kind = "folder" if path.is_dir() else "file" if path.is_file() else ""
+    except (OSError, ValueError) as error:
+        raise refusal(path, f"unreadable path ({error})") from error
+    if not kind:
+        raise refusal(path, "no such file or folder")
+    if kind == "file" and path.suffix.lower() == ".csv":
+        return read_table(path, images, n_views)
+    if images is not None:
+        raise refusal(path, "--images belongs to a .csv table; folders and archives have their own layout")
+    files: Files
+    if kind == "folder":
+        files = _folder(path)
+    elif path.name.lower().endswith((".tar", ".tar.gz", ".tgz")):
+        files = TarFiles(path, lambda name: _role(name) is not None, on_step)
+    else:
+        raise refusal(path, "is no folder, .tar, .tar.gz or .csv file")
+    try:
+        return _read_layout(files, n_views, on_step)
+    except BaseException:
+        files.close()
+        raise
+
+
+def _folder(root: Path) -> FolderFiles:
+    """Files of the towns in a folder, or in the folders just below it."""
+    try:
+        towns = [""] if (root / "rgb").is_dir() else sorted(p.name + "/" for p in root.iterdir() if p.is_dir())
+        folders = []
+        for town in towns:
+            rgb = root / town / "rgb"
+            cameras = sorted(p.name for p in rgb.iterdir() if p.is_dir()) if rgb.is_dir() else []
+            folders += [f"{town}rgb/{camera}" for camera in cameras]
+            folders += [f"{town}metadata", f"{town}{_CALIBRATION[0]}"]
+    except OSError as error:
+        raise refusal(root, f"unreadable folder ({error.strerror or error})") from error
+    return FolderFiles(root, list_folder(root, folders))
+
+
+def _role(name: str) -> tuple[str, str, str, str] | None:
+    """Town, kind, camera and frame of a file of the layout; None for any other."""
+    folder, _, file = name.rpartition("/")
+    parts = folder.split("/")
+    stem, dot, suffix = file.rpartition(".")
+    if file.startswith(".") or not stem:
+        return None
+    if parts[-2:-1] == ["rgb"] and dot + suffix.lower() in IMAGE_SUFFIXES:
+        return "/".join(parts[:-2]), "rgb", parts[-1], stem
+    if parts[-1] == "metadata" and suffix == "json":
+        return "/".join(parts[:-1]), "metadata", "", stem
+    return ("/".join(parts[:-1]), "calibration", "", stem) if (parts[-1], file) == _CALIBRATION else None
+
+
+def _sort(files: Files) -> dict[str, _Town]:
+    """The files by town, camera and frame; folders without images of any camera are no towns."""
+    towns: dict[str, _Town] = {}
+    for name in files.sizes_bytes:
+        role = _role(name)
+        if role is None:
+            continue
+        place, kind, camera, stem = role
+        if not name.isprintable() or len(place) + len(stem) >= MAX_ID_CHARS:
+            raise refusal(files.path, f"{name} has a name that is too long or not printable text; rename it")
+        town = towns.setdefault(place, _Town())
+        if kind == "calibration":
+            town.calibration = name
+            continue
+        known = town.metadata if kind == "metadata" else town.images.setdefault(camera, {})
+        if stem in known:
+            raise refusal(files.path, f"frame {stem} has two images, {known[stem]} and {name}; remove one")
+        known[stem] = name
+    towns = {place: town for place, town in sorted(towns.items()) if town.images}
+    if not towns:
+        raise refusal(files.path, f"holds no data set; expected {_EXPECTED}")
+    return towns
+
+
+def _read_layout(files: Files, n_views: int | None, on_step: OnStep | None) -> Source:
+    towns = _sort(files)
+    n_views = n_views or (5 if any("Down" in town.images for town in towns.values()) else 4)
+    axes, frames, skipped = set(), list[Frame](), list[Skipped]()
+    for place, town in towns.items():
+        missing = [view for view in VIEWS[:n_views] if view not in town.images]
+        where = f"{files.path}/{place}" if place else str(files.path)
+        if missing:
+            has = ", ".join(sorted(town.images)[:8])
+            raise refusal(where, f"no images of {', '.join(missing)}; {n_views} views are needed, rgb/ has {has}")
+        if not town.metadata:
+            raise refusal(where, f"no poses; expected {_EXPECTED}")
+        axes.add(read_axes(files, town.calibration))
+        prefix = f"{place}/" if len(towns) > 1 else ""
+        _read_town(files, town, prefix, n_views, frames, skipped, on_step)
+    if not frames:
+        raise nothing_left(str(files.path), skipped)
+    return Source(files, tuple(frames), tuple(skipped), " and ".join(sorted(axes)))
+
+
+def _in_order(names: set[str]) -> list[str]:
+    """In numeric order where every name is a number."""
+    numbered = all(name.isascii() and name.isdigit() and len(name) <= 18 for name in names)
+    return sorted(names, key=lambda name: (int(name) if numbered else 0, name))
+
+
+def _read_town(
+    files: Files,
+    town: _Town,
+    prefix: str,
+    n_views: int,
+    frames: list[Frame],
+    skipped: list[Skipped],
+    on_step: OnStep | None,
+) -> None:
+    """Add the frames of a town to the lists."""
+    views = VIEWS[:n_views]
+    names = _in_order({*town.metadata, *(name for view in views for name in town.images[view])})
+    poses: dict[str, Pose | Skipped] = {}
+    stems = {file: stem for stem, file in town.metadata.items()}
+    for done, file in enumerate(files.by_place(stems), 1):
+        stem = stems[file]
+        try:
+            poses[stem] = read_pose(files, file)
+        except ValueError as error:  # InputError among them
+            poses[stem] = Skipped(prefix + stem, "no usable pose", f"{file}: {error}")
+        if on_step is not None and done % _STEP_FRAMES == 0:
+            on_step("reading poses", done, len(stems))
+    for name in names:
+        lacking = [view for view in views if name not in town.images[view]]
+        pose = poses.get(name, Skipped(prefix + name, "no usable pose", "no metadata"))
+        if lacking:
+            skipped.append(Skipped(prefix + name, "a view is missing", ", ".join(lacking)))
+        elif isinstance(pose, Skipped):
+            skipped.append(pose)
+        else:
+            images = tuple(town.images[view][name] for view in views)
+            sizes = tuple(files.sizes_bytes[image] for image in images)
+            scene = pose.scene or prefix.rstrip("/")
+            frames.append(Frame(prefix + name, pose.position_m, pose.yaw_rad, scene, pose.context, images, sizes))

@@ -1,0 +1,1 @@
+"""How programs run on this machine: caches, threads, progress, precision of products, cuts between loops."""

@@ -1,0 +1,46 @@
+"""Grids of the whole system as labelled datasets, for the command line, the figure and Python."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import xarray
+
+from ovibjax.features.frames import FeatureSet
+from ovibjax.sweep.engine import run
+from ovibjax.system.chain import DIMS, UNITS, System
+from ovibjax.system.data import SystemSize, make_system
+
+
+def sweep_system(
+    scene: tuple[list[FeatureSet], int, SystemSize],
+    axes: Mapping[str, Any],
+    along: tuple[Sequence[int], Sequence[float], Sequence[str]],
+    policy: str = "voi",
+    **options: Any,
+) -> xarray.Dataset:
+    """Run the system on a grid in one compiled program.
+
+    Args:
+        scene: drives, how many of them are for training, and how much is trained and replayed.
+        axes: values of beta, gamma, seed or other `system.HYPERS`; what is trained.
+        along: prefixes k, values of V, and schedulers; what a trained member is replayed with.
+        policy: request policy.
+        options: further options of `sweep.run`, such as `store`.
+
+    Returns:
+        One dimension per axis, then k, V and scheduler.
+    """
+    data, static = make_system(*scene)
+    prefixes, Vs, schedulers = along
+    shared = (jnp.asarray(prefixes, jnp.int32), jnp.asarray(Vs, jnp.float32), data)
+    return run(
+        System(replace(static, policy=policy, schedulers=tuple(schedulers))),
+        axes,
+        shared,
+        dims=DIMS,
+        coords={"k": list(prefixes), "V": list(Vs), "scheduler": list(schedulers)},
+        units=UNITS,
+        **{"chunk": 1, **options},
+    )

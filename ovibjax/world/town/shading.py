@@ -1,0 +1,215 @@
+"""Materials of the embedded town: walls with windows, roofs, roads with markings, lawns, trees and sky.
+
+Every function takes per-pixel arrays [V, P] and returns colours as three such arrays; periodic patterns are averaged
+over the pixel's footprint, so that they fade into their mean instead of aliasing.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from ovibjax.world.town.layout import Town
+
+SEMANTIC_CLASSES: tuple[str, ...] = (
+    *("sky", "building", "roof", "road", "road_line", "sidewalk", "terrain", "vegetation"),
+)
+"""Semantic classes, in the order of their integer codes."""
+
+SUN = (0.46, -0.54, 0.705)
+"""Unit direction towards the sun."""
+
+Colour = list[jax.Array]
+
+
+def _hash(x: jax.Array, y: jax.Array, salt: jax.Array | int) -> jax.Array:
+    """Uniform [0, 1) of integer lattice points."""
+    h = x.astype(jnp.uint32) * jnp.uint32(0x9E3779B1) ^ y.astype(jnp.uint32) * jnp.uint32(0x85EBCA77)
+    h = (h ^ jnp.asarray(salt).astype(jnp.uint32) * jnp.uint32(0xC2B2AE3D)) * jnp.uint32(0x27D4EB2F)
+    h = (h ^ (h >> 15)) * jnp.uint32(0x2C1B3C6D)
+    return (h >> 8).astype(jnp.float32) * jnp.float32(2.0**-24)
+
+
+def _floor(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    whole = jnp.floor(x)
+    return whole.astype(jnp.int32), x - whole
+
+
+def noise(x: jax.Array, y: jax.Array, salt: int) -> jax.Array:
+    """Smooth value noise in [0, 1] with unit lattice."""
+    ix, fx = _floor(x)
+    iy, fy = _floor(y)
+    fx, fy = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy)
+    low = _hash(ix, iy, salt) * (1 - fx) + _hash(ix + 1, iy, salt) * fx
+    high = _hash(ix, iy + 1, salt) * (1 - fx) + _hash(ix + 1, iy + 1, salt) * fx
+    return low * (1 - fy) + high * fy
+
+
+def stripes(x: jax.Array, period: jax.Array | float, share: jax.Array | float, width: jax.Array) -> jax.Array:
+    """Share of a pixel of the given width covered by stripes centred in each period (box-filtered pulse train)."""
+    at, half = x / period, jnp.maximum(width / period, 1e-3) / 2
+
+    def integral(u: jax.Array) -> jax.Array:
+        whole = jnp.floor(u)
+        return whole * share + jnp.clip(u - whole - (1 - share) / 2, 0.0, share)
+
+    return (integral(at + half) - integral(at - half)) / (2 * half)
+
+
+def _line(distance: jax.Array, half_width: float, footprint: jax.Array) -> jax.Array:
+    """Coverage of a painted line by a pixel: `distance` from its axis."""
+    half = jnp.maximum(footprint / 2, 1e-3)
+    overlap = jnp.minimum(distance + half, half_width) - jnp.maximum(distance - half, -half_width)
+    return jnp.clip(overlap / (2 * half), 0.0, 1.0)
+
+
+def _mix(a: jax.Array, b: jax.Array | float, share: jax.Array) -> jax.Array:
+    return a + share * (b - a)
+
+
+@jax.jit
+def shade_wall(
+    hit: Colour, row: list[jax.Array], faces_x: jax.Array, ray: Colour, footprint: jax.Array
+) -> tuple[Colour, jax.Array]:
+    """Façade: storeys, bays, window panes that differ from each other, plinth and weathering."""
+    along = jnp.where(faces_x, hit[1] - row[1], hit[0] - row[0])
+    bay, storey, share, tone = row[9], row[10], row[11], row[12]
+    height = hit[2] - row[2]
+    window = stripes(along, bay, share, footprint) * stripes(height, storey, 0.5 + 0.3 * share, footprint)
+    ix, _ = _floor(along / bay)
+    iy, _ = _floor(height / storey)
+    salt = row[14].astype(jnp.int32) * 4 + faces_x.astype(jnp.int32)
+    pane = _hash(ix, iy, salt)
+    # Panes blur into their mean once a pixel covers several of them.
+    pane = _mix(pane, 0.5, jnp.clip(footprint / bay - 0.4, 0.0, 1.0))
+    glass = tone * (0.55 + 0.9 * pane)
+    wear = 0.86 + 0.28 * noise(along * 0.21 + row[14] * 7.3, height * 0.13, 11)
+    band = 1 - 0.25 * stripes(height, storey, 0.08, footprint)
+    plinth = jnp.where(height < 1.1, 0.72, 1.0)
+    outward_x = jnp.where(ray[0] < 0, 1.0, -1.0)
+    outward_y = jnp.where(ray[1] < 0, 1.0, -1.0)
+    light = jnp.where(faces_x, outward_x * SUN[0], outward_y * SUN[1])
+    rgb = [_mix(row[6 + c] * wear * band * plinth, glass * tint, window) for c, tint in enumerate((0.8, 0.95, 1.1))]
+    return rgb, light
+
+
+@jax.jit
+def shade_roof(hit: Colour, row: list[jax.Array], footprint: jax.Array) -> Colour:
+    """Flat roof with a parapet, stains and plant boxes."""
+    edge = jnp.minimum(jnp.minimum(hit[0] - row[0], row[3] - hit[0]), jnp.minimum(hit[1] - row[1], row[4] - hit[1]))
+    ix, fx = _floor(hit[0] / 3.1)
+    iy, fy = _floor(hit[1] / 3.1)
+    unit = (_hash(ix, iy, 5) > 0.82) & (jnp.abs(fx - 0.5) < 0.3) & (jnp.abs(fy - 0.5) < 0.3)
+    tone = row[13] * (0.75 + 0.5 * noise(hit[0] * 0.35, hit[1] * 0.35, 3))
+    tone = jnp.where(unit, 0.82, tone)
+    parapet = jnp.clip((0.6 - edge) / jnp.maximum(footprint, 0.05), 0.0, 1.0)
+    return [_mix(tone * warm, row[6 + c], parapet) for c, warm in enumerate((1.0, 0.96, 0.92))]
+
+
+@jax.jit
+def shade_tree(hit: Colour, row: list[jax.Array], footprint: jax.Array) -> tuple[Colour, jax.Array]:
+    """Leafy crown on a brown trunk."""
+    normal = [(hit[a] - row[a]) / jnp.maximum(row[3], 0.1) for a in range(3)]
+    on_trunk = normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2 > 1.1
+    leaf = noise((hit[0] + hit[2] * 0.7) * 2.3, (hit[1] - hit[2] * 0.6) * 2.3, 21)
+    leaf = _mix(leaf, 0.5, jnp.clip(footprint * 1.5, 0.0, 1.0))
+    tone = 0.55 + 0.9 * leaf
+    light = normal[0] * SUN[0] + normal[1] * SUN[1] + normal[2] * SUN[2]
+    light = jnp.where(on_trunk, 0.3, 0.35 + 0.65 * jnp.clip(light, -0.5, 1.0))
+    warm = row[4]
+    green = [(0.16 + 0.20 * warm) * tone, (0.30 + 0.08 * warm) * tone, 0.10 * tone]
+    bark = (0.30, 0.22, 0.15)
+    return [jnp.where(on_trunk, b, g) for g, b in zip(green, bark, strict=True)], light
+
+
+@jax.jit
+def shade_ground(town: Town, hit: Colour, footprint: jax.Array) -> tuple[Colour, jax.Array]:
+    """Carriageway with markings and zebra crossings, pavement, and lawns or yards inside the blocks."""
+    x, y = hit[0], hit[1]
+    half, pavement = town.road_half_width_m, town.pavement_m
+    dx, road_i, block_i = _nearest_road(x, town.road_x_m)
+    dy, road_j, block_j = _nearest_road(y, town.road_y_m)
+    ax, ay = jnp.abs(dx), jnp.abs(dy)
+    on_x, on_y = ax < half, ay < half
+    crossing = on_x & on_y
+    on_road = on_x | on_y
+    reach = jnp.minimum(ax, ay)
+    on_pavement = ~on_road & (reach < half + pavement)
+    # Along and across the road the pixel lies on.
+    along = jnp.where(on_x, y, x)
+    across = jnp.where(on_x, dx, dy)
+    to_crossing = jnp.where(on_x, ay, ax) - half
+    open_road = (to_crossing > 5.5) & ~crossing
+    dashes = _line(across, 0.09, footprint) * stripes(along, 6.0, 0.5, footprint)
+    sides = _line(jnp.abs(across) - (half - 0.35), 0.08, footprint)
+    # Every second arm of a crossing has a zebra; which ones tells crossings apart.
+    arm = jnp.where(on_x, 2 + (dy > 0).astype(jnp.int32), (dx > 0).astype(jnp.int32))
+    has_zebra = _hash(road_i * 4 + arm, road_j, 59) > 0.5
+    beside = (to_crossing > 1.2) & (to_crossing < 4.2)
+    zebra = stripes(across, 1.1, 0.5, footprint) * (beside & has_zebra).astype(jnp.float32)
+    stop = ((to_crossing > 4.8) & (to_crossing < 5.4) & (jnp.abs(across) < half - 0.4)).astype(jnp.float32)
+    paint = jnp.where(open_road, jnp.maximum(dashes, sides), jnp.maximum(zebra, stop))
+    paint = jnp.where(crossing, 0.0, paint) * (0.55 + 0.3 * noise(x * 0.9, y * 0.9, 31))
+    broad = noise(x * 0.045, y * 0.045, 41)
+    fine = noise(x * 0.6, y * 0.6, 43)
+    fine = _mix(fine, 0.5, jnp.clip(footprint * 0.4, 0.0, 1.0))
+    # Repaired patches of asphalt: rectangles of a coarse lattice.
+    ix, _ = _floor(x / 3.7)
+    iy, _ = _floor(y / 4.9)
+    patch = jnp.where(_hash(ix, iy, 47) > 0.9, -0.05, 0.0)
+    worn = jnp.where(on_x, _hash(road_i, road_i, 71), _hash(road_j, road_j, 73))
+    asphalt = 0.15 + 0.12 * broad + 0.05 * fine + 0.10 * worn + patch
+    slabs = 1 - 0.16 * jnp.maximum(stripes(x, 1.5, 0.06, footprint), stripes(y, 1.5, 0.06, footprint))
+    walk = (0.46 + 0.10 * broad + 0.05 * fine) * slabs
+    lawn = _block_value(town.lawn, block_i, block_j)
+    tint = _hash(block_i, block_j, 53)
+    warm = _hash(block_j, block_i, 79) - 0.5
+    yard = 0.26 + 0.26 * tint + 0.10 * fine
+    grass = 0.75 + 0.35 * fine + 0.3 * broad
+    rgb = []
+    for road_c, walk_c, yard_c, grass_c, warm_c in zip(
+        *((0.97, 0.98, 1.04), (1.04, 1.0, 0.94), (1.08, 1.0, 0.86), (0.24, 0.36, 0.13), (0.45, 0.0, -0.4)),
+        strict=True,
+    ):
+        tinted = 1 + warm_c * warm
+        inside = jnp.where(lawn > 0.5, grass * (grass_c + 0.10 * (tint - 0.5)), yard * yard_c) * tinted
+        road = _mix(asphalt * road_c, 0.86, paint)
+        rgb.append(jnp.where(on_road, road, jnp.where(on_pavement, walk * walk_c * tinted, inside)))
+    painted = on_road & (paint > 0.35)
+    ids = {name: i for i, name in enumerate(SEMANTIC_CLASSES)}
+    klass = jnp.where(painted, ids["road_line"], ids["road"])
+    klass = jnp.where(on_road, klass, jnp.where(on_pavement, ids["sidewalk"], ids["terrain"]))
+    return rgb, klass
+
+
+def _nearest_road(x: jax.Array, roads: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Signed distance to the nearest road axis, its index, and the index of the block between two axes."""
+    best = x - roads[0]
+    index = jnp.zeros_like(x, dtype=jnp.int32)
+    block = (best > 0).astype(jnp.int32)
+    for r in range(1, roads.shape[0]):
+        d = x - roads[r]
+        index = jnp.where(jnp.abs(d) < jnp.abs(best), r, index)
+        best = jnp.where(jnp.abs(d) < jnp.abs(best), d, best)
+        block = block + (d > 0).astype(jnp.int32)
+    return best, index, block
+
+
+def _block_value(table: jax.Array, i: jax.Array, j: jax.Array) -> jax.Array:
+    return jnp.asarray(table)[i, j]
+
+
+@jax.jit
+def shade_sky(direction: Colour) -> tuple[Colour, Colour]:
+    """Sky with clouds and a sun, and the haze colour far things fade into."""
+    up = jnp.clip(direction[2], 0.0, 1.0)
+    towards_sun = jnp.clip(direction[0] * SUN[0] + direction[1] * SUN[1] + direction[2] * SUN[2], 0.0, 1.0)
+    glow = towards_sun**8 * 0.25
+    scale = 1.0 / jnp.maximum(direction[2], 0.06)
+    u, v = direction[0] * scale, direction[1] * scale
+    cloud = 0.6 * noise(u * 1.1 + 3.0, v * 1.1, 61) + 0.4 * noise(u * 2.9, v * 2.9 + 5.0, 67)
+    cloud = jnp.clip((cloud - 0.48) * 3.2, 0.0, 1.0) * jnp.clip(direction[2] * 6, 0.0, 1.0)
+    sky, haze = [], []
+    for top, horizon, sun in zip((0.10, 0.26, 0.62), (0.56, 0.66, 0.78), (1.0, 0.8, 0.5), strict=True):
+        clear = _mix(jnp.full_like(up, horizon), top, jnp.sqrt(up)) + glow * sun
+        sky.append(_mix(clear, 0.92, 0.8 * cloud))
+        haze.append(jnp.full_like(up, horizon) + 0.6 * glow * sun)
+    return sky, haze

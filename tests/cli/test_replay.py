@@ -1,0 +1,71 @@
+"""The replay command end to end: somebody's own frames and link, and bad input in one line."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ovibjax.cli.main import main
+from ovibjax.features.frames import make_feature_set, save
+
+
+def ovibjax(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "OVIBJAX_CACHE": str(cwd / "cache"), "COLUMNS": "200"}
+    command = [sys.executable, "-m", "ovibjax", "replay", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=300)
+
+
+def write_drive(path: Path, n: int = 220, n_views: int = 4, dim: int = 24) -> None:
+    rng = np.random.default_rng(0)
+    position = np.stack([1.6 * np.arange(n), np.zeros(n), np.full(n, 20.0)], axis=1).astype(np.float32)
+    mix = rng.normal(size=(3, n_views * dim)) / 30
+    features = np.tanh(position @ mix).reshape(n, n_views, dim) + 0.05 * rng.normal(size=(n, n_views, dim))
+    save(path, make_feature_set(features, position))
+
+
+@pytest.mark.slow
+def test_own_frames_on_a_measured_link(tmp_path: Path) -> None:
+    write_drive(tmp_path / "mine.npz")
+    (tmp_path / "link.txt").write_text("".join(f"{t} {0.05 + 0.01 * (t % 3)}\n" for t in range(60)))
+    done = ovibjax(
+        *("--policy", "voi", "uncertainty", "--data", "mine.npz", "--trace", "link.txt", "--seed", "3", "--plot"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = [line.split("│")[1:-1] for line in done.stdout.splitlines() if "voi" in line or "uncertainty" in line]
+    assert [row[0].strip() for row in rows] == ["voi", "uncertainty"]
+    for row in rows:
+        mean, p95, risk, requests, kb = (float(cell) for cell in row[1:])
+        assert 0 < mean < p95 and risk > 0 and requests >= 0 and kb <= 2.1
+    with Image.open(tmp_path / "replay.png") as picture:
+        assert picture.width >= 1000
+
+
+def test_bad_input_is_one_line_and_exit_code_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "back.txt").write_text("0 1\n1 1\n0.5 1\n")
+    cases = {
+        ("--policy", "vio"): "did you mean voi",
+        ("--profile", "0"): "--profile",
+        ("--seed", "-1"): "--seed",
+        ("--budget", "nan"): "--budget",
+        ("--trace", "back.txt"): "back.txt",
+        ("--trace", "absent.txt"): "absent.txt",
+        ("--data", "absent.npz"): "absent.npz",
+        ("--plot", "--out", "absent/x.png"): "absent",
+        ("--polcy", "voi"): "did you mean --policy",
+    }
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OVIBJAX_CACHE", str(tmp_path / "cache"))
+    for arguments, words in cases.items():
+        monkeypatch.setattr(sys, "argv", ["ovibjax", "replay", *arguments])
+        with pytest.raises(SystemExit) as left:
+            main()
+        assert left.value.code == 2
+        said = capsys.readouterr().err
+        assert words in said and len(said.strip().splitlines()) == 1, (arguments, said)

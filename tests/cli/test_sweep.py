@@ -1,0 +1,154 @@
+"""`ovibjax sweep train` and `ovibjax show`, as a user runs them."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from ovibjax.cli.main import check_options, main
+from ovibjax.cli.sweep import integers, numbers
+from ovibjax.errors import InputError
+from ovibjax.sweep.store import open_dataset
+
+AXES = ("--gamma", "0", "0.1", "--beta", "1e-3", "--seed", "0:2", "--prefix", "4", "8", "--latent", "8")
+
+
+@pytest.fixture(scope="module")
+def features(tmp_path_factory):
+    """A small feature set: smooth functions of the position, five views of 12 coordinates."""
+    rng = np.random.default_rng(0)
+    position = np.cumsum(rng.normal(size=(240, 3)), axis=0).astype(np.float32)
+    waves = np.cos(position @ rng.normal(size=(3, 60)) * 0.2 + rng.uniform(0, 6, 60))
+    path = tmp_path_factory.mktemp("data") / "features.npz"
+    np.savez(path, features=waves.reshape(240, 5, 12).astype(np.float32), positions_m=position)
+    return path
+
+
+def ovibjax(*arguments, **options):
+    command = [sys.executable, "-m", "ovibjax", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, **options)
+
+
+@pytest.fixture
+def refused(monkeypatch, capsys):
+    """Run a command here, without the seconds a new process takes; it must end with one line and exit code 2."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["ovibjax", *map(str, arguments)])
+        with pytest.raises(SystemExit) as left:
+            main()
+        assert left.value.code == 2
+        lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("ovibjax:")]
+        assert len(lines) == 1
+        return lines[0]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def store(features, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "mine.zarr"
+    done = ovibjax("sweep", "train", *AXES, "--steps", 20, "--batch", 32, "--data", features, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "4 members" in done.stderr and f"ovibjax show {out}" in done.stderr.replace("\n", "")
+    return out
+
+
+def test_every_point_is_trained_and_judged(store):
+    dataset = open_dataset(store)
+    assert dict(dataset.sizes) | {"gamma": 2, "beta": 1, "seed": 2, "prefix": 2, "mode": 1} == dict(dataset.sizes)
+    assert bool(dataset.finished.all()) and not bool(dataset.diverged.any())
+    assert np.isfinite(dataset.test_mean_m).all() and dataset.test_mean_m.attrs["units"] == "m"
+    # Nothing but gamma differs between paired members.
+    assert (dataset.loss.isel(gamma=0) != dataset.loss.isel(gamma=1)).all()
+
+
+def test_show_prints_a_table_and_writes_csv_and_plot(store, tmp_path):
+    shown = ovibjax("show", store, "--metric", "test_mean_m", "--where", "prefix=8")
+    assert shown.returncode == 0 and "test_mean_m" in shown.stdout and "0.1" in shown.stdout
+    assert ovibjax("show", store, "--csv", tmp_path / "a" / "mine.csv").returncode == 0
+    rows = list(csv.DictReader((tmp_path / "a" / "mine.csv").read_text().splitlines()))
+    assert len(rows) == 2 * 2 * 2 and {float(row["gamma"]) for row in rows} == {0.0, 0.1}
+    plotted = ovibjax(
+        "show", store, "--metric", "test_mean_m", "--plot", "gamma", "--hue", "prefix", "--out", tmp_path / "p.png"
+    )
+    assert plotted.returncode == 0, plotted.stderr
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_another_sweep_on_the_same_store_is_refused_and_named(store, features, refused):
+    before = sorted((path, path.stat().st_mtime_ns) for path in store.rglob("*") if path.is_file())
+    said = refused("sweep", "train", *AXES, "--steps", 40, "--batch", 32, "--data", features, "--out", store)
+    assert "settings.steps is 20 there and 40 here" in said
+    assert before == sorted((path, path.stat().st_mtime_ns) for path in store.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--bta", "1"), "--bta: sweep train has no such option; did you mean --beta?"),
+        (("--gamma", "-1"), "--gamma -1: values are zero or more"),
+        (("--beta", "abc"), "--beta abc: not a number"),
+        (("--seed", "3:3"), "--seed 3:3: the range is empty"),
+        (("--prefix", "9", "--latent", "8"), "--prefix 9: values are 1 to 8"),
+        (("--mode", "A6"), "--mode A6"),
+        (("--address", "x"), "--address is for --on ray"),
+        (("--chunk", "0"), "chunk"),
+    ],
+)
+def test_a_misspelt_axis_or_impossible_value_is_one_line(features, tmp_path, refused, arguments, named):
+    out = tmp_path / "x.zarr"
+    assert named in refused("sweep", "train", "--data", features, "--out", out, *arguments)
+    assert not out.exists()
+
+
+def test_show_of_nothing_is_one_line(tmp_path, refused):
+    assert "no store" in refused("show", tmp_path / "none.zarr")
+
+
+@pytest.mark.long
+def test_ctrl_c_keeps_finished_members_and_the_same_command_goes_on(features, tmp_path):
+    out = tmp_path / "long.zarr"
+    arguments = ("sweep", "train", *AXES, "--seed", "0:8", "--steps", "1500", "--batch", "32")
+    command = [sys.executable, "-m", "ovibjax", *arguments, "--data", features, "--out", out]
+    running = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 200
+    while not (out.exists() and len(list((out / "finished").glob("c.*"))) >= 2):
+        assert time.monotonic() < deadline and running.poll() is None
+        time.sleep(0.05)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=100)
+    assert running.returncode == 130 and "repeat the command to go on" in " ".join(said.split())
+    kept = int(open_dataset(out).finished.sum())
+    assert 2 <= kept < 16
+    done = ovibjax(*arguments, "--data", features, "--out", out)
+    assert done.returncode == 0 and bool(open_dataset(out).finished.all())
+
+
+@pytest.mark.long
+def test_devices_split_the_processor(features, tmp_path):
+    out = tmp_path / "two.zarr"
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    arguments = ("sweep", "train", *AXES, "--steps", 20, "--batch", 32, "--data", features, "--out", out)
+    done = ovibjax(*arguments, "--devices", 2, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert open_dataset(out).attrs["config"]["execution"]["devices"] == 2
+
+
+def test_values_are_parsed():
+    assert integers("seed", ("0:3", "7"), 0, 9) == [0, 1, 2, 7]
+    assert numbers("beta", ("1e-4", "0"), lambda value: value >= 0, "zero or more") == [1e-4, 0.0]
+    with pytest.raises(InputError, match="--beta nan"):
+        numbers("beta", ("nan",), lambda value: value >= 0, "zero or more")
+
+
+def test_options_are_checked_per_command():
+    check_options(["show", "runs/a.zarr", "--plot=gamma"])
+    check_options(["sweep", "train", "--no-keep-params", "--weight_decay", "0"])
+    with pytest.raises(InputError, match="did you mean --preset"):
+        check_options(["reproduce", "--prset", "full"])

@@ -1,0 +1,135 @@
+"""The frozen-localizer protocol against a plain NumPy reading of it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ovibjax.edge.judging import judge, judge_prefixes, judge_raw, one_standard_error_choice
+from ovibjax.edge.localize import ETAS
+from ovibjax.encoder.member_data import prepare
+from ovibjax.encoder.model import Architecture, decode, encode, init, locate
+from ovibjax.encoder.pca import fit_pca, pca_reconstruct
+from ovibjax.features.frames import make_feature_set, split_indices
+from ovibjax.views import mode_mask
+
+ARCH = Architecture(n_views=4, view_dim=6, latent=8, hidden=16, last_hidden=12, head=8)
+
+
+@pytest.fixture(scope="module")
+def feature_set():
+    rng = np.random.default_rng(0)
+    position = rng.uniform(-40, 40, (260, 3)).astype(np.float32)
+    features = np.tanh(position @ rng.normal(size=(3, 4 * 9)) / 30).reshape(260, 4, 9) + 0.02
+    return make_feature_set(features, position)
+
+
+@pytest.fixture(scope="module")
+def member(feature_set):
+    return prepare(feature_set, seed=1, rank=6)[0]
+
+
+@pytest.fixture(scope="module")
+def params():
+    return init(jax.random.key(3), ARCH)
+
+
+def oracle(params, member, mask, codec, recode):
+    """Encode, mask, regress, retrieve, mix on validation, measure: one frame at a time."""
+    wide = np.repeat(np.asarray(mask), ARCH.view_dim)
+    database = np.asarray(member.train.x).reshape(len(member.train.x), -1) * wide
+    if recode:
+        database = np.asarray(codec(jnp.asarray(database))) * wide
+    database = database / np.linalg.norm(database, axis=1, keepdims=True)
+    out = {}
+    for name, x, truth in (("val", member.val_x, member.val_m), ("test", member.test_x, member.test_m)):
+        descriptor = np.asarray(codec(jnp.asarray(np.asarray(x).reshape(len(x), -1) * wide))) * wide
+        reg = np.asarray(locate(params, jnp.asarray(descriptor), ARCH)) * float(member.standardizer.scale_m)
+        reg = reg + np.asarray(member.standardizer.mean_m)
+        ret = np.asarray(member.train_m)[[int(np.argmax(database @ row)) for row in descriptor]]
+        out[name] = reg, ret, np.asarray(truth)
+
+    def error(eta, name):
+        reg, ret, truth = out[name]
+        return np.linalg.norm(eta * reg + (1 - eta) * ret - truth, axis=1)
+
+    return error
+
+
+@pytest.mark.parametrize("mode", ["F", "FS", "H4"])
+@pytest.mark.parametrize("linear", [False, True])
+def test_prefixes_match_the_protocol(params, member, mode, linear) -> None:
+    mask = mode_mask(mode, 4)
+    ks = [2, 5, 8]
+    # A re-coded database is tried with the linear code: an untrained network maps all references to one direction,
+    # where rounding decides which of them is nearest.
+    pca = fit_pca(member.train.x.reshape(len(member.train.x), -1), 8) if linear else None
+    judged = judge_prefixes(params, member, ARCH, mask, jnp.array(ks), pca=pca, recode=linear)
+    for i, k in enumerate(ks):
+        keep = jnp.asarray((np.arange(8) < k).astype(np.float32))
+
+        def codec(x, keep=keep):
+            if pca is not None:
+                return pca_reconstruct(pca, x, keep)
+            return decode(params, encode(params, x, ARCH)[0] * keep[None], ARCH)
+
+        error = oracle(params, member, mask, codec, recode=linear)
+        eta = float(judged.eta[i])
+        # Near a flat minimum rounding may pick a neighbour; what counts is that none is better on validation.
+        assert error(eta, "val").mean() <= min(error(other, "val").mean() for other in ETAS) + 1e-2
+        for name, ours in (("val", judged.val_error_m[i]), ("test", judged.test_error_m[i])):
+            same = np.isclose(ours, error(eta, name), rtol=2e-3, atol=1e-2)
+            assert same.mean() > 0.97, (name, k, same.mean())
+
+
+def test_raw_retrieval_of_a_reference_is_exact(params, member) -> None:
+    known = member._replace(val_x=member.train.x[:20], val_m=member.train_m[:20])
+    judged = judge_raw(params, known, ARCH, mode_mask("H4", 4))
+    assert float(judged.eta) == 0.0
+    np.testing.assert_allclose(judged.val_error_m, 0.0, atol=1e-5)
+
+
+def test_test_frames_do_not_choose_the_mixing_weight(params, member) -> None:
+    shuffled = member._replace(test_m=member.test_m[::-1] + 50.0)
+    mask = mode_mask("H4", 4)
+    one, other = (judge(params, m, ARCH, mask, lambda x: x) for m in (member, shuffled))
+    assert float(one.eta) == float(other.eta)
+    np.testing.assert_array_equal(one.val_error_m, other.val_error_m)
+
+
+def test_pca_is_numpys() -> None:
+    x = np.random.default_rng(0).normal(size=(60, 12)).astype(np.float32) * np.linspace(3, 0.3, 12, dtype=np.float32)
+    pca = fit_pca(jnp.asarray(x), 10)
+    assert pca.components.shape == (12, 10)
+    _, _, vt = np.linalg.svd(x.astype(np.float64), full_matrices=False)
+    for k in (1, 4, 10):
+        prefix = jnp.asarray((np.arange(16) < k).astype(np.float32))
+        np.testing.assert_allclose(pca_reconstruct(pca, jnp.asarray(x), prefix), x @ vt[:k].T @ vt[:k], atol=2e-4)
+
+
+def test_one_standard_error_rule() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0, 1, 400)
+    noise = (noise - noise.mean()) / noise.std(ddof=1)  # standard error 0.05
+    means = np.array([9.0, 5.06, 5.04, 5.0, 5.01])
+    errors = jnp.asarray(means[:, None] + noise[None], jnp.float32)
+    assert int(one_standard_error_choice(errors, jnp.array([2, 4, 8, 16, 32]))) == 8
+
+
+def test_nothing_is_fitted_on_held_out_frames(feature_set) -> None:
+    split = split_indices(260, 1)
+    held_out = np.concatenate([split.val, split.test])
+    features, positions = feature_set.features.copy(), feature_set.positions_m.copy()
+    features[held_out] = features[held_out][:, :, ::-1]
+    positions[held_out] += 1000
+    changed = feature_set._replace(features=features, positions_m=positions)
+    (one, basis_one), (other, basis_other) = prepare(feature_set, 1, 6), prepare(changed, 1, 6)
+    for a, b in zip(
+        jax.tree.leaves((one.train, one.train_m, one.standardizer, basis_one)),
+        jax.tree.leaves((other.train, other.train_m, other.standardizer, basis_other)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(one.test_x, other.test_x)
+    np.testing.assert_allclose(np.asarray(one.train.x).var(), 1.0, rtol=1e-3)
+    np.testing.assert_allclose(np.asarray(one.train.y)[:, :2].var(axis=0).mean(), 1.0, rtol=1e-3)
