@@ -1,14 +1,24 @@
-"""Claims: a statement, the paper's number, ours with its interval, and a verdict by a stated rule."""
+"""Claims: a statement, the paper's number, ours with its interval, and a verdict by a stated rule.
+
+A card states a claim with one of the constructors of `Claim`: each knows its verdict and words its rule, so that what
+is left to say is the statement, the numbers and their text.
+"""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 HELD, ON_AVERAGE, NOT_HELD, REPORTED = "held", "held on average", "not held", "reported"
+PAIRED = "the whole interval of the paired difference above zero"
+
+Seeds = ArrayLike
+"""[S] one number per seed."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +43,18 @@ class Interval:
         """Upper end."""
         return self.mean + self.half
 
+    @property
+    def cap(self) -> float:
+        """Half-width as it is drawn: zero for a single seed, whose interval has no end."""
+        return self.half if np.isfinite(self.half) else 0.0
+
     def text(self, unit: str = "", digits: int = 2) -> str:
         """`mean ± half unit`, without the half-width where there is only one seed."""
         spread = f" ± {self.half:.{digits}f}" if np.isfinite(self.half) else ""
         return f"{self.mean:.{digits}f}{spread}{' ' + unit if unit else ''}"
 
 
-def interval(values: Sequence[float] | np.ndarray) -> Interval:
+def interval(values: Seeds) -> Interval:
     """95 % interval of the mean of independent seeds.
 
     Args:
@@ -73,6 +88,84 @@ class Claim:
     verdict: str
     rule: str
 
+    @classmethod
+    def less(
+        cls,
+        statement: str,
+        paper: str,
+        ours: str,
+        smaller: Seeds,
+        *larger: Seeds,
+        rule: str = PAIRED,
+        strict: bool = False,
+    ) -> Self:
+        """A quantity is below another on paired seeds, or below every one of several others.
+
+        Args:
+            statement: what is claimed.
+            paper: the paper's figure.
+            ours: our figure.
+            smaller: [S] the quantity.
+            larger: [S] each, on the same seeds.
+            rule: how the rule is worded.
+            strict: whether a mean alone counts for nothing.
+
+        Returns:
+            The claim; held if every paired interval of the difference lies above zero, held on average if the means do.
+        """
+        differences = [interval(np.asarray(other) - np.asarray(smaller)) for other in larger]
+        return cls(statement, paper, ours, _judged(differences, positive, strict), rule)
+
+    @classmethod
+    def above_zero(
+        cls, statement: str, paper: str, ours: str, *values: Seeds, rule: str = PAIRED, strict: bool = False
+    ) -> Self:
+        """A quantity, or every one of several, is positive: `less` with the differences at hand."""
+        return cls(statement, paper, ours, _judged(map(interval, values), positive, strict), rule)
+
+    @classmethod
+    def at_least(cls, statement: str, paper: str, ours: str, limit: float, *values: Seeds, rule: str) -> Self:
+        """A quantity, or every one of several, is at least a limit; held if the whole interval is."""
+        return cls(statement, paper, ours, weakest(above(interval(value), limit) for value in values), rule)
+
+    @classmethod
+    def at_most(cls, statement: str, paper: str, ours: str, limit: float, *values: Seeds, rule: str) -> Self:
+        """A quantity, or every one of several, is at most a limit; held if the whole interval is."""
+        return cls(statement, paper, ours, weakest(below(interval(value), limit) for value in values), rule)
+
+    @classmethod
+    def ratio_at_least(
+        cls, statement: str, paper: str, ours: str, limit: float, numerator: Seeds, denominator: Seeds
+    ) -> Self:
+        """A ratio on paired seeds is at least a limit; held if the whole interval of the ratio is."""
+        ratio = np.asarray(numerator) / np.asarray(denominator)
+        return cls.at_least(
+            statement, paper, ours, limit, ratio, rule=f"interval of the paired ratio at least {limit:g}"
+        )
+
+    @classmethod
+    def ratio_at_most(
+        cls, statement: str, paper: str, ours: str, limit: float, numerator: Seeds, denominator: Seeds
+    ) -> Self:
+        """A ratio on paired seeds is at most a limit; held if the whole interval of the ratio is."""
+        ratio = np.asarray(numerator) / np.asarray(denominator)
+        return cls.at_most(statement, paper, ours, limit, ratio, rule=f"interval of the paired ratio at most {limit:g}")
+
+    @classmethod
+    def within(cls, statement: str, paper: str, ours: str, tolerance: float, difference: Seeds, *, rule: str) -> Self:
+        """A difference on paired seeds is no larger than a tolerance, either way; held if its whole interval is not."""
+        return cls(statement, paper, ours, near_zero(interval(difference), tolerance), rule)
+
+    @classmethod
+    def true(cls, statement: str, paper: str, ours: str, condition: bool, rule: str) -> Self:
+        """A fact without an interval: held if the condition is true."""
+        return cls(statement, paper, ours, HELD if condition else NOT_HELD, rule)
+
+    @classmethod
+    def reported(cls, statement: str, paper: str, ours: str, rule: str) -> Self:
+        """A figure that is shown and not judged; the rule says why, or how it was made."""
+        return cls(statement, paper, ours, REPORTED, rule)
+
 
 def below(value: Interval, limit: float) -> str:
     """Verdict on `value <= limit`: held if the whole interval lies below, held on average if the mean does."""
@@ -95,9 +188,19 @@ def positive(value: Interval) -> str:
     return HELD if value.low > 0 else ON_AVERAGE
 
 
+def near_zero(value: Interval, tolerance: float) -> str:
+    """Verdict on `-tolerance <= value <= tolerance`, as `below`."""
+    return weakest([below(value, tolerance), above(value, -tolerance)])
+
+
 def weakest(verdicts: Iterable[str]) -> str:
     """Verdict on a claim with several parts: as good as its weakest part."""
     return max(verdicts, key=(HELD, ON_AVERAGE, NOT_HELD).index)
+
+
+def _judged(values: Iterable[Interval], rule: Callable[[Interval], str], strict: bool) -> str:
+    verdict = weakest(map(rule, values))
+    return NOT_HELD if strict and verdict == ON_AVERAGE else verdict
 
 
 def write_claims(path: Path, claims: Sequence[Claim]) -> None:

@@ -13,6 +13,7 @@ from ovibjax.report.claims import (
     above,
     below,
     interval,
+    near_zero,
     positive,
     read_claims,
     weakest,
@@ -67,3 +68,41 @@ def test_no_difference_at_all_is_not_held() -> None:
     assert positive(interval([1.0, 1.1, 0.9])) == HELD
     assert positive(interval([3.0, -1.0, 0.1])) == ON_AVERAGE
     assert positive(interval([-1.0, -1.1, -0.9])) == NOT_HELD
+
+
+SEEDS = np.array([1.0, 1.1, 0.9])
+
+
+def claim(constructor: str, *numbers, **options) -> str:
+    return getattr(Claim, constructor)("statement", "paper", "ours", *numbers, **options).verdict
+
+
+def test_less_is_judged_on_paired_differences() -> None:
+    noise = np.array([-5.0, 0.0, 5.0])
+    assert claim("less", noise, noise + SEEDS) == HELD
+    assert claim("less", SEEDS, SEEDS + noise + 0.1) == ON_AVERAGE
+    assert claim("less", SEEDS, SEEDS + noise + 0.1, strict=True) == NOT_HELD
+    assert claim("less", SEEDS, SEEDS) == NOT_HELD
+    assert claim("less", noise, noise + SEEDS, noise + 1.0, noise - 1.0) == NOT_HELD, "below every one of them"
+    assert claim("above_zero", SEEDS, SEEDS + noise) == ON_AVERAGE
+
+
+def test_limits_and_ratios() -> None:
+    assert claim("at_most", 1.3, SEEDS, rule="r") == HELD and claim("at_most", 1.05, SEEDS, rule="r") == ON_AVERAGE
+    assert claim("at_least", 0.7, SEEDS, rule="r") == HELD and claim("at_least", 1.2, SEEDS, rule="r") == NOT_HELD
+    ratio = Claim.ratio_at_least("s", "p", "o", 10.0, 11.0 * SEEDS, SEEDS)
+    assert (ratio.verdict, ratio.rule) == (HELD, "interval of the paired ratio at least 10")
+    ratio = Claim.ratio_at_most("s", "p", "o", 1.15, 1.2 * SEEDS, SEEDS)
+    assert (ratio.verdict, ratio.rule) == (NOT_HELD, "interval of the paired ratio at most 1.15")
+
+
+def test_within_looks_both_ways() -> None:
+    assert claim("within", 0.5, SEEDS - 1.0, rule="r") == HELD
+    assert claim("within", 0.1, SEEDS - 1.0, rule="r") == ON_AVERAGE
+    assert claim("within", 0.1, SEEDS, rule="r") == NOT_HELD == near_zero(interval(-SEEDS), 0.1)
+
+
+def test_facts_and_reports() -> None:
+    assert claim("true", True, "r") == HELD and claim("true", False, "r") == NOT_HELD
+    assert claim("reported", "r") == REPORTED
+    assert interval([1.0]).cap == 0.0 and interval(SEEDS).cap == interval(SEEDS).half
