@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from scipy.stats import ttest_rel
 
 from ovibjax.cards.ablation_study import GAMMA, Ablation, ablate, named, table_rows
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.encoder.bound_margins import check_bounds
 from ovibjax.encoder.member_data import prepare
 from ovibjax.encoder.model import Architecture

@@ -11,7 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.cards.scheduling_drawing import COLOURS, NAMES, events_of
 from ovibjax.control.policy_study import seeds_to_keys
 from ovibjax.report import figures as fig

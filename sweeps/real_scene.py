@@ -11,7 +11,7 @@ import numpy as np
 import xarray
 from matplotlib.axes import Axes
 
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.edge.indoor import DIMS, Protocol, prepare_scene
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig

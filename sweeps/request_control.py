@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from ovibjax.cards.control_drawing import COLOURS, NAMES, policy_rows, representative, study
 from ovibjax.cards.control_study import ControlStudy
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.cards.timeline import draw_requests, legend, shade, time_s
 from ovibjax.control.policies import POLICIES
 from ovibjax.report import figures as fig

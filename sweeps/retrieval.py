@@ -11,7 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.cards.retrieval_study import (
     FRAMES,
     QUERIES,

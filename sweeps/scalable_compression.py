@@ -13,7 +13,7 @@ from ovibjax.cards.compression_claims import LINK_KB_PER_S, PAPER_LATENCY_MS, ju
 from ovibjax.cards.compression_methods import FIXED, SPARSE_PREFIXES, TRAINED, Effort, Outcome, prefixes_of, run_method
 from ovibjax.cards.compression_results import Results, collect, table_rows
 from ovibjax.cards.deployment_overhead import measure_encoder, overhead_rows
-from ovibjax.cards.reproduce import Interrupted, Job
+from ovibjax.cards.job import CardInterrupted, Job
 from ovibjax.encoder.member_data import prepare
 from ovibjax.link.latency import (
     JETSON,
@@ -99,7 +99,7 @@ def run(job: Job) -> None:
         },
     )
     if interrupted:
-        raise Interrupted(
+        raise CardInterrupted(
             f"interrupted; {job.out} holds the figure of the finished seeds {' '.join(map(str, finished))}"
         )
 

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.features.describe import Description, describe
 from ovibjax.features.frames import CONTEXTS, FeatureSet, split_indices
 from ovibjax.report import figures as fig

@@ -13,7 +13,7 @@ import numpy as np
 import xarray
 from matplotlib.axes import Axes
 
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.edge.member import DIMS, UNITS, FuseAndLocate, TrainAndJudge
 from ovibjax.encoder.attention import AttentionConfig, init_attention, predict
 from ovibjax.encoder.member_data import Member, prepare

@@ -11,7 +11,7 @@ import xarray
 from matplotlib.axes import Axes
 
 from ovibjax.cards.control_study import PAPER_PROFILE_KB_PER_S, drives_of
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.cards.scheduling_drawing import COLOURS, NAMES
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, interval, positive, write_claims

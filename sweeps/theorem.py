@@ -12,7 +12,7 @@ import numpy as np
 import xarray
 from matplotlib.axes import Axes
 
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import Claim, Interval, above, below, interval, weakest, write_claims
 from ovibjax.report.rows import write_rows

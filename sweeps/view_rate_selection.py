@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from ovibjax.cards.control_drawing import MODE_COLOURS, study
 from ovibjax.cards.control_study import ControlStudy
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, interval, positive, write_claims
 from ovibjax.report.rows import write_rows

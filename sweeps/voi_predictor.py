@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from ovibjax.cards.control_drawing import COLOURS, NAMES, policy_rows, study
 from ovibjax.cards.control_study import BUDGETS_KB, DRIFT_SCALES, ControlStudy
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.control.policies import PAPER_BUDGET_KB, POLICIES
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, Interval, interval, positive, write_claims

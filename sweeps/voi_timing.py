@@ -8,7 +8,7 @@ import numpy as np
 
 from ovibjax.cards.control_drawing import representative, study
 from ovibjax.cards.control_study import ControlStudy
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.cards.timeline import draw_timeline, time_s
 from ovibjax.report.claims import NOT_HELD, Claim, above, interval, write_claims
 from ovibjax.report.rows import write_rows

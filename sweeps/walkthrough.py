@@ -12,7 +12,7 @@ import matplotlib as mpl
 import numpy as np
 
 from ovibjax.cards.control_study import drives_of
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.cards.scheduling_drawing import COLOURS, NAMES
 from ovibjax.features.frames import CONTEXTS
 from ovibjax.report import figures as fig

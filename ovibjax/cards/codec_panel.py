@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ovibjax.cards.codec_frontier import RIVAL_K, CodecPlan, Frontier, judge_codecs
 from ovibjax.cards.compression_methods import Outcome
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.encoder.member_data import Member
 from ovibjax.features.basis import ViewBasis
 from ovibjax.features.images.codecs import CODECS, LADDERS, NAMES

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ovibjax.cards.control_study import ControlStudy, control_study, drives_of
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.control.policies import POLICIES
 from ovibjax.report import figures as fig
 from ovibjax.runtime.progress import console, progress_bar

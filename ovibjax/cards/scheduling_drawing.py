@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from ovibjax.cards.control_drawing import representative, study
-from ovibjax.cards.reproduce import Job
+from ovibjax.cards.job import Job
 from ovibjax.report import figures as fig
 from ovibjax.scheduling.clients import Events
 from ovibjax.scheduling.congestion import recorded_events

@@ -52,8 +52,14 @@ class Reproduce:
         """Run the command."""
         from ovibjax.cards.reproduce import reproduce
 
+        if self.backbone != "embedded":
+            raise InputError(
+                f"backbone {self.backbone!r}: the figures embed the town with 'embedded'; write frames with "
+                f"`ovibjax town --frames N`, embed them with `ovibjax features --backbone {self.backbone}`, "
+                "and pass the file with --data"
+            )
         rank = self.rank if self.rank != 0 else None
-        page = reproduce(self.preset, self.only, self.out, self.data, self.backbone, self.seed, self.sweep, rank)
+        page = reproduce(self.preset, self.only, self.out, self.data, self.seed, self.sweep, rank)
         console.print(f"results: {page}")
 
 

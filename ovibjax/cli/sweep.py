@@ -108,7 +108,7 @@ class SweepTrain:
         return on_ray(self.address)
 
     def _train(self, axes: dict[str, list[Any]], prefixes: tuple[int, ...], executor: "Executor | None") -> None:
-        from ovibjax.cards.reproduce import load_features
+        from ovibjax.cards.loading import load_features
         from ovibjax.edge.member import DIMS, UNITS, TrainAndJudge
         from ovibjax.encoder.member_data import prepare
         from ovibjax.encoder.model import Architecture

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from ovibjax import sweep
-from ovibjax.cards import reproduce as module
-from ovibjax.cards.reproduce import _remove_old, reproduce
+from ovibjax.cards import catalog
+from ovibjax.cards.job import _remove_old
+from ovibjax.cards.reproduce import reproduce
 from ovibjax.errors import InputError
 from ovibjax.features.frames import make_feature_set, save
 
@@ -51,7 +52,7 @@ def mine(tmp_path, monkeypatch):
     start = "from ovibjax.errors import InputError\nTITLE = 'T'\ndef run(job):\n    "
     (cards / "a_picky.py").write_text(start + "raise InputError(f'{job.source}: no contexts')\n")
     (cards / "b_easy.py").write_text(start + "(job.out / 'made').write_text('')\n")
-    monkeypatch.setattr(module, "cards_folder", lambda: cards)
+    monkeypatch.setattr(catalog, "cards_folder", lambda: cards)
     rng = np.random.default_rng(0)
     save(tmp_path / "mine.npz", make_feature_set(rng.normal(size=(220, 5, 8)), rng.uniform(size=(220, 3))))
     return tmp_path

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ovibjax.cards.reproduce import load_pair, reproduce
+from ovibjax.cards.loading import load_pair
+from ovibjax.cards.reproduce import reproduce
 from ovibjax.errors import InputError
 from ovibjax.features.frames import save
 from tests.edge.test_indoor import some

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ovibjax.cards.reproduce import card_names, cards_folder, load_card
+from ovibjax.cards.catalog import card_names, cards_folder, load_card
 from ovibjax.cli.main import main
 from ovibjax.features.frames import make_feature_set, save
 

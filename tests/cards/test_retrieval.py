@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ovibjax.cards.reproduce import Job, cards_folder, load_card
+from ovibjax.cards.catalog import cards_folder, load_card
+from ovibjax.cards.job import Job
 from ovibjax.edge.pruning import Pruning
 from ovibjax.errors import InputError
 from ovibjax.features.frames import make_feature_set

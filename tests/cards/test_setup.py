@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ovibjax.cards.reproduce import Job, cards_folder, load_card
+from ovibjax.cards.catalog import cards_folder, load_card
+from ovibjax.cards.job import Job
 from ovibjax.features.frames import make_feature_set
 
 

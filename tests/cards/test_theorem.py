@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ovibjax import sweep
-from ovibjax.cards.reproduce import cards_folder, load_card
+from ovibjax.cards.catalog import cards_folder, load_card
 from ovibjax.report.claims import HELD, NOT_HELD
 from ovibjax.report.rows import write_rows
 from ovibjax.scheduling.slotted_replay import Horizon

@@ -1,0 +1,143 @@
+"""What a card is given: its data, its output folder, and sweeps that go on where an interrupted figure stopped."""
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import xarray
+
+from ovibjax.errors import InputError
+from ovibjax.features.frames import FeatureSet
+from ovibjax.report.provenance import provenance
+from ovibjax.runtime.cache import cache_folder
+from ovibjax.runtime.progress import progress_bar
+from ovibjax.sweep.engine import Interrupted, run
+from ovibjax.sweep.layout import digest
+from ovibjax.sweep.store import attach
+
+PRESETS = ("smoke", "quick", "full")
+_KEPT_S = 7 * 24 * 3600.0
+
+
+class CardInterrupted(KeyboardInterrupt):
+    """Ctrl-C came; the message says what was kept."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a card is given.
+
+    Attributes:
+        name: the card's name.
+        preset: one of `PRESETS`.
+        out: the card's own output folder, which exists.
+        seed: first seed; a card that needs n seeds uses seed ... seed + n - 1.
+        features: the data.
+        source: "embedded" or the path the data came from.
+        rank: coordinates kept per view; None keeps all.
+        queries: the second feature set of a card that takes references and queries; None for embedded data.
+    """
+
+    name: str
+    preset: str
+    out: Path
+    seed: int
+    features: FeatureSet
+    source: str
+    rank: int | None
+    queries: FeatureSet | None = None
+
+    def sweep(self, description: str, fn: Any, axes: Mapping[str, Any], shared: Any, **options: Any) -> xarray.Dataset:
+        """`sweep.run`, kept as `kept` says.
+
+        Args:
+            description: what the bar says.
+            fn: member function.
+            axes: values per axis.
+            shared: data.
+            options: further options of `sweep.run`.
+
+        Returns:
+            See `kept`.
+
+        Raises:
+            CardInterrupted: Ctrl-C; finished members are kept.
+        """
+        return self.kept(description, partial(run, fn, axes, shared, **options))
+
+    def kept(self, description: str, compute: Callable[..., xarray.Dataset]) -> xarray.Dataset:
+        """A sweep with a progress bar and a store in the cache folder: an interrupted figure goes on from there.
+
+        Args:
+            description: what the bar says.
+            compute: the sweep; takes `store` and `on_progress` of `sweep.run`.
+
+        Returns:
+            The dataset, complete; attribute `resumed` says how many members an earlier, interrupted run had finished.
+
+        Raises:
+            CardInterrupted: Ctrl-C; finished members are kept.
+        """
+        folder = cache_folder() / "sweeps"
+
+        def store(config: dict[str, Any]) -> Path:
+            return folder / f"{self.name}-{digest(config)[:16]}.zarr"
+
+        found: list[int] = []
+        with progress_bar(description, 1) as update:
+
+            def on_progress(done: int, total: int) -> None:
+                found.append(done)
+                update(done, total)
+
+            try:
+                dataset = compute(store=store, on_progress=on_progress)
+            except Interrupted as error:
+                finished = error.dataset.finished
+                kept = f"{int(finished.sum())} of {finished.size} members are kept"
+                raise CardInterrupted(f"interrupted; {kept}: repeat the command to go on") from None
+        _remove_old(folder)
+        return dataset.assign_attrs(resumed=found[0])
+
+    @property
+    def own_features(self) -> FeatureSet | None:
+        """The user's feature set; None for the embedded town, where a card may drive elsewhere."""
+        return None if self.embedded else self.features
+
+    def record(self, title: str, caption: str, seeds: Iterable[int], started: float, **facts: Any) -> None:
+        """Write `provenance.json`: what every card says of itself, and its own facts.
+
+        Args:
+            title: heading on the results page.
+            caption: what the reader of the figure needs to know.
+            seeds: seeds that finished.
+            started: `time.perf_counter()` at the start.
+            facts: what the card adds, of JSON's types.
+        """
+        common: dict[str, Any] = {"title": title, "caption": caption, "preset": self.preset}
+        common |= {"seeds": " ".join(map(str, seeds)), "frames": len(self.features.features)}
+        common |= {"data": "embedded town" if self.embedded else Path(self.source).name}
+        everything = provenance(**common | facts, seconds=round(time.perf_counter() - started))
+        text = json.dumps(everything, indent=1, ensure_ascii=False)
+        (self.out / "provenance.json").write_text(text + "\n")
+
+    @property
+    def embedded(self) -> bool:
+        """Whether the data are the embedded town, about which the project states expectations."""
+        return self.source == "embedded"
+
+
+def _remove_old(folder: Path) -> None:
+    """Remove finished sweeps begun more than a week ago; unfinished ones are somebody's work."""
+    for path in folder.glob("*.zarr"):
+        if time.time() - path.stat().st_mtime < _KEPT_S:
+            continue
+        with suppress(InputError, OSError):
+            if attach(path).finished().all():
+                shutil.rmtree(path)
