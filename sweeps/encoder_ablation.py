@@ -12,7 +12,7 @@ from scipy.stats import ttest_rel
 from ovibjax.cards.ablation_study import GAMMA, Ablation, ablate, named, table_rows
 from ovibjax.cards.job import Job
 from ovibjax.encoder.bound_margins import check_bounds
-from ovibjax.encoder.member_data import prepare
+from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.report import figures as fig
@@ -75,7 +75,7 @@ def run(job: Job) -> None:
     started = time.perf_counter()
     preset = PRESETS[job.preset]
     seeds = [job.seed + i for i in range(preset.seeds)]
-    members = [prepare(job.features, seed, job.rank)[0] for seed in seeds]
+    members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
     views, dim = members[0].train.x.shape[1:]
     static = TrainConfig(arch=Architecture(n_views=views, view_dim=dim), steps=preset.steps, precision="bfloat16")
     found = ablate(job.sweep, static, preset.lr, preset.gammas, preset.ks, members, seeds)

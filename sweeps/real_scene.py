@@ -12,7 +12,7 @@ import xarray
 from matplotlib.axes import Axes
 
 from ovibjax.cards.job import Job
-from ovibjax.edge.indoor import DIMS, Protocol, prepare_scene
+from ovibjax.edge.indoor import DIMS, Protocol, scene_data
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
 from ovibjax.features.frames import FeatureSet
@@ -189,7 +189,7 @@ def measure(
     preset: Preset,
 ) -> Found:
     """The whole protocol of one platform over rooms and training seeds, as one sweep."""
-    prepared = [prepare_scene(*scene, job.rank) for scene in scenes]
+    prepared = [scene_data(*scene, job.rank) for scene in scenes]
     n_views, dim = prepared[0][0].x.shape[1:]
     arch = Architecture(n_views=n_views, view_dim=dim, latent=PAPER_PREFIXES[-1], hidden=256, last_hidden=128, head=128)
     protocol = Protocol(TrainConfig(arch=arch, steps=preset.steps), PAPER_PREFIXES, preset.checkpoints)

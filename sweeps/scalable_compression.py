@@ -14,7 +14,7 @@ from ovibjax.cards.compression_methods import FIXED, SPARSE_PREFIXES, TRAINED, E
 from ovibjax.cards.compression_results import Results, collect, table_rows
 from ovibjax.cards.deployment_overhead import measure_encoder, overhead_rows
 from ovibjax.cards.job import CardInterrupted, Job
-from ovibjax.encoder.member_data import prepare
+from ovibjax.encoder.data_split import member_data
 from ovibjax.link.latency import (
     JETSON,
     LatencyProfile,
@@ -45,7 +45,7 @@ def run(job: Job) -> None:
     started = time.perf_counter()
     effort = EFFORTS[job.preset]
     seeds = [job.seed + i for i in range(SEEDS[job.preset])]
-    prepared = {seed: prepare(job.features, seed, job.rank) for seed in seeds}
+    prepared = {seed: member_data(job.features, seed, job.rank) for seed in seeds}
     tasks = [(seed, method) for seed in seeds for method in TRAINED]
     finished: dict[int, dict[str, Outcome]] = {seed: {} for seed in seeds}
 

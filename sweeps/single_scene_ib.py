@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from ovibjax.cards.job import Job
 from ovibjax.edge.member import DIMS, UNITS, FuseAndLocate, TrainAndJudge
 from ovibjax.encoder.attention import AttentionConfig, init_attention, predict
-from ovibjax.encoder.member_data import Member, prepare
+from ovibjax.encoder.data_split import MemberData, member_data
 from ovibjax.encoder.model import Architecture, encode, init
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.link.latency import JETSON, compute_ms_at, measure_host
@@ -91,7 +91,7 @@ def run(job: Job) -> None:
     started = time.perf_counter()
     preset = PRESETS[job.preset]
     seeds = [job.seed + i for i in range(preset.trials)]
-    members = [prepare(job.features, seed, job.rank)[0] for seed in seeds]
+    members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
     found = Found(
         train_grid(job, preset, members, seeds),
         train_fusion(job, preset, members, seeds),
@@ -113,7 +113,7 @@ def run(job: Job) -> None:
     )
 
 
-def train_grid(job: Job, preset: Preset, members: list[Member], seeds: list[int]) -> xarray.Dataset:
+def train_grid(job: Job, preset: Preset, members: list[MemberData], seeds: list[int]) -> xarray.Dataset:
     """Both one-dimensional sweeps in one: points (beta, gamma) that advance together, times seeds."""
     points = [(beta, GAMMA) for beta in preset.betas]
     points += [(BETA, gamma) for gamma in preset.gammas if (BETA, gamma) not in points]
@@ -138,7 +138,7 @@ def train_grid(job: Job, preset: Preset, members: list[Member], seeds: list[int]
     return dataset.squeeze(["mode", "prefix"]).rename_dims({"beta_gamma": "point"})
 
 
-def train_fusion(job: Job, preset: Preset, members: list[Member], seeds: list[int]) -> xarray.Dataset:
+def train_fusion(job: Job, preset: Preset, members: list[MemberData], seeds: list[int]) -> xarray.Dataset:
     """The attention baseline on the first seeds."""
     views, dim = members[0].train.x.shape[1:]
     static = AttentionConfig(n_views=views, view_dim=dim, steps=preset.fusion_steps)
@@ -152,7 +152,7 @@ def train_fusion(job: Job, preset: Preset, members: list[Member], seeds: list[in
     )
 
 
-def time_encoders(member: Member) -> dict[str, float]:
+def time_encoders(member: MemberData) -> dict[str, float]:
     """Median milliseconds per frame on this machine; untrained weights cost the same."""
     views, dim = member.train.x.shape[1:]
     x = member.test_x[:1]

@@ -11,8 +11,8 @@ import xarray
 
 from ovibjax.edge.judging import judge_prefixes
 from ovibjax.edge.member import DIMS, ORDERINGS, UNITS, JudgeOrdering, TrainAndJudge, Trained
+from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.information_bounds import SingularValues, singular_values
-from ovibjax.encoder.member_data import Member
 from ovibjax.encoder.pca import fit_pca
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.sweep.select import tree_of
@@ -75,7 +75,7 @@ def ablate(
     lr: float,
     gammas: tuple[float, ...],
     ks: tuple[int, ...],
-    members: list[Member],
+    members: list[MemberData],
     seeds: list[int],
 ) -> Ablation:
     """Train every variant on every seed in one sweep, then judge orderings and PCA.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ovibjax.cards.compression_methods import LATENT, Outcome, judge_raw_jit, prefixes_of
-from ovibjax.encoder.member_data import Member
+from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.model import Architecture
 from ovibjax.features.basis import ViewBasis, project
 from ovibjax.features.frames import FeatureSet, split_indices
@@ -146,7 +146,7 @@ def choose_frames(n: int, seed: int, plan: CodecPlan) -> CodedFrames:
 
 def judge_codecs(
     feature_set: FeatureSet,
-    prepared: Mapping[int, tuple[Member, ViewBasis]],
+    prepared: Mapping[int, tuple[MemberData, ViewBasis]],
     outcomes: Mapping[int, Mapping[str, Outcome]],
     plan: CodecPlan,
     code: Callable[[NDArray[np.int64]], CodedViews],
@@ -184,7 +184,7 @@ def judge_codecs(
 
 
 def _judge_with(
-    prepared: tuple[Member, ViewBasis], ovib: Outcome, val_m: NDArray[np.float32], test_m: NDArray[np.float32]
+    prepared: tuple[MemberData, ViewBasis], ovib: Outcome, val_m: NDArray[np.float32], test_m: NDArray[np.float32]
 ) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
     """A function from features [V + T, M, d] of validation and test frames to errors [T] of the test frames."""
     member, basis = prepared

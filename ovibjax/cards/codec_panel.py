@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ovibjax.cards.codec_frontier import RIVAL_K, CodecPlan, Frontier, judge_codecs
 from ovibjax.cards.compression_methods import Outcome
 from ovibjax.cards.job import Job
-from ovibjax.encoder.member_data import Member
+from ovibjax.encoder.data_split import MemberData
 from ovibjax.features.basis import ViewBasis
 from ovibjax.features.images.codecs import CODECS, LADDERS, NAMES
 from ovibjax.link.latency import JETSON, kbytes_per_s, semantic_latency_ms
@@ -38,7 +38,7 @@ PLANS = {
 
 
 def code_and_judge(
-    job: Job, prepared: Mapping[int, tuple[Member, ViewBasis]], outcomes: Mapping[int, Mapping[str, Outcome]]
+    job: Job, prepared: Mapping[int, tuple[MemberData, ViewBasis]], outcomes: Mapping[int, Mapping[str, Outcome]]
 ) -> tuple[Frontier | None, str]:
     """Codecs on the job's data, with a progress bar; coded frames are kept in the cache folder.
 

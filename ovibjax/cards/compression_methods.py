@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.edge.judging import Judged, judge_prefixes, judge_raw
+from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.loss import Hypers, make_hypers
-from ovibjax.encoder.member_data import Member
 from ovibjax.encoder.model import Architecture, Params
 from ovibjax.encoder.pca import fit_pca
 from ovibjax.encoder.train import TrainConfig, fit
@@ -78,7 +78,7 @@ def prefixes_of(method: str) -> np.ndarray:
     return np.array([int(method.removeprefix("fixed_"))] if method.startswith("fixed_") else SPARSE_PREFIXES)
 
 
-def train_config(method: str, member: Member, effort: Effort) -> TrainConfig:
+def train_config(method: str, member: MemberData, effort: Effort) -> TrainConfig:
     """Static choices of a trained method."""
     views, dim = member.train.x.shape[1:]
     arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
@@ -94,7 +94,7 @@ def hypers_of(method: str, effort: Effort) -> Hypers:
     return make_hypers(gamma=0.0 if method == "vib" else 0.1, lr=effort.lr)
 
 
-def run_method(method: str, seed: int, member: Member, effort: Effort) -> Outcome:
+def run_method(method: str, seed: int, member: MemberData, effort: Effort) -> Outcome:
     """Train one method on one seed and judge it, in the mode that uses every view.
 
     Args:

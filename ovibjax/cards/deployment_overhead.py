@@ -8,12 +8,12 @@ import numpy as np
 
 from ovibjax.cards.compression_methods import FIXED, LATENT
 from ovibjax.cards.compression_results import Results
-from ovibjax.encoder.member_data import Member
+from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.model import Architecture, encode, parameter_bytes
 from ovibjax.link.latency import JETSON, LatencyProfile, kbytes_per_s, measure_host, semantic_latency_ms
 
 
-def measure_encoder(results: Results, member: Member) -> LatencyProfile:
+def measure_encoder(results: Results, member: MemberData) -> LatencyProfile:
     """Time to encode one frame on this machine, after feature extraction."""
     views, dim = member.train.x.shape[1:]
     arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)

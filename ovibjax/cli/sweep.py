@@ -110,7 +110,7 @@ class SweepTrain:
     def _train(self, axes: dict[str, list[Any]], prefixes: tuple[int, ...], executor: "Executor | None") -> None:
         from ovibjax.cards.loading import load_features
         from ovibjax.edge.member import DIMS, UNITS, TrainAndJudge
-        from ovibjax.encoder.member_data import prepare
+        from ovibjax.encoder.data_split import member_data
         from ovibjax.encoder.model import Architecture
         from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
         from ovibjax.sweep.engine import Interrupted, run
@@ -126,7 +126,7 @@ class SweepTrain:
         members = []
         with progress_bar("splitting and projecting", len(axes["seed"])) as update:
             for i, seed in enumerate(axes["seed"], start=1):
-                members.append(prepare(features, seed, self.rank or None)[0])
+                members.append(member_data(features, seed, self.rank or None)[0])
                 update(i)
         static = TrainConfig(
             arch=Architecture(n_views=n_views, view_dim=members[0].train.x.shape[2], latent=self.latent),

@@ -14,9 +14,9 @@ import numpy as np
 from ovibjax.edge.fusion import calibrate, fold_error_m, fold_similarity, fused_descriptor, kept_weights, spatial_folds
 from ovibjax.edge.localize import errors, mix, select_eta
 from ovibjax.edge.retrieval import brute_force
+from ovibjax.encoder.data_split import Standardizer
 from ovibjax.encoder.early_stopping import fit_early
 from ovibjax.encoder.loss import make_hypers
-from ovibjax.encoder.member_data import Standardizer
 from ovibjax.encoder.model import Params, decode, encode, locate
 from ovibjax.encoder.train import TrainConfig, TrainData
 from ovibjax.features.basis import fit_basis, project
@@ -147,7 +147,7 @@ DIMS: dict[str, tuple[str, ...]] = {
 """Trailing dimensions of the protocol's outputs."""
 
 
-def prepare_scene(references: FeatureSet, queries: FeatureSet, rank: int | None) -> tuple[References, Queries]:
+def scene_data(references: FeatureSet, queries: FeatureSet, rank: int | None) -> tuple[References, Queries]:
     """Split the references, fit the per-view basis on their training part, and project everything.
 
     Args:

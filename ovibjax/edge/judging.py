@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from ovibjax.edge.localize import errors, mix, select_eta
 from ovibjax.edge.retrieval import brute_force
-from ovibjax.encoder.member_data import Member
+from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.model import Architecture, Params, decode, encode, locate
 from ovibjax.encoder.pca import PCA, pca_reconstruct
 
@@ -40,7 +40,7 @@ Codec = Callable[[jax.Array], jax.Array]
 
 def judge(
     params: Params,
-    member: Member,
+    member: MemberData,
     arch: Architecture,
     view_mask: jax.Array,
     codec: Codec,
@@ -85,7 +85,7 @@ def judge(
 
 def judge_prefixes(
     params: Params,
-    member: Member,
+    member: MemberData,
     arch: Architecture,
     view_mask: jax.Array,
     prefixes: jax.Array,
@@ -124,7 +124,7 @@ def judge_prefixes(
     return jax.lax.map(one, prefixes)
 
 
-def judge_raw(params: Params, member: Member, arch: Architecture, view_mask: jax.Array) -> Judged:
+def judge_raw(params: Params, member: MemberData, arch: Architecture, view_mask: jax.Array) -> Judged:
     """Judge uncompressed features of a view mode."""
     return judge(params, member, arch, view_mask, lambda x: x)
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from ovibjax.edge.judging import judge_prefixes
 from ovibjax.edge.localize import errors, summarize
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, positions_m
+from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.loss import Hypers, make_hypers
-from ovibjax.encoder.member_data import Member
 from ovibjax.encoder.model import Architecture, Params, encode
 from ovibjax.encoder.rate import active_dims
 from ovibjax.encoder.train import TrainConfig, fit
@@ -41,7 +41,7 @@ class TrainAndJudge:
     lr: float = 2e-3
     keep_params: bool = False
 
-    def __call__(self, key: jax.Array, point: dict[str, jax.Array], member: Member) -> dict[str, Any]:
+    def __call__(self, key: jax.Array, point: dict[str, jax.Array], member: MemberData) -> dict[str, Any]:
         """Train and judge one member.
 
         Args:
@@ -86,7 +86,7 @@ class FuseAndLocate:
     lr: float = 3e-3
     weight_decay: float = 0.1
 
-    def __call__(self, key: jax.Array, point: dict[str, jax.Array], member: Member) -> dict[str, jax.Array]:
+    def __call__(self, key: jax.Array, point: dict[str, jax.Array], member: MemberData) -> dict[str, jax.Array]:
         """Train and judge one member with every view.
 
         Args:
@@ -123,7 +123,7 @@ class Trained(NamedTuple):
         params: parameters.
     """
 
-    member: Member
+    member: MemberData
     params: Params
 
 

@@ -12,8 +12,8 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
+from ovibjax.encoder.data_split import Standardizer
 from ovibjax.encoder.loss import Hypers
-from ovibjax.encoder.member_data import Standardizer
 from ovibjax.encoder.model import Params
 from ovibjax.encoder.train import TrainConfig, TrainData, make_epoch, make_optimizer, schedule_of
 from ovibjax.views import mask_table

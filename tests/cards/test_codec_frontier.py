@@ -9,7 +9,7 @@ from ovibjax.cards.codec_panel import claims
 from ovibjax.cards.compression_methods import LATENT, Outcome
 from ovibjax.edge.judging import Judged
 from ovibjax.edge.localize import ETAS
-from ovibjax.encoder.member_data import prepare
+from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture, init, locate
 from ovibjax.features.frames import make_feature_set, split_indices
 from ovibjax.report.claims import HELD, NOT_HELD
@@ -51,7 +51,7 @@ def frontier():
     position = rng.uniform(-40, 40, (260, 3)).astype(np.float32)
     features = np.tanh(position @ rng.normal(size=(3, 4 * 9)) / 30).reshape(260, 4, 9) + 0.02
     feature_set = make_feature_set(features, position)
-    prepared = {seed: prepare(feature_set, seed, rank=6) for seed in (1, 2)}
+    prepared = {seed: member_data(feature_set, seed, rank=6) for seed in (1, 2)}
     params = init(jax.random.key(0), Architecture(n_views=4, view_dim=6, latent=LATENT))
     blank = np.zeros(0, np.float32)
     n_test = len(split_indices(260, 1).test)
@@ -89,7 +89,7 @@ def test_uncompressed_frames_against_plain_numpy(frontier):
     """Regress, retrieve, choose the mixing weight on the chosen validation frames, measure."""
     found, _, feature_set, _ = frontier
     split, mine = split_indices(260, 1), choose_frames(260, 1, CodecPlan(9, 12, RUNGS))
-    member, basis = prepare(feature_set, 1, rank=6)
+    member, basis = member_data(feature_set, 1, rank=6)
     arch = Architecture(n_views=4, view_dim=6, latent=LATENT)
     database = np.asarray(member.train.x).reshape(len(split.train), -1)
     database = database / np.linalg.norm(database, axis=1, keepdims=True)

@@ -9,7 +9,7 @@ import pytest
 
 from ovibjax.edge import indoor
 from ovibjax.edge.fusion import kept_weights
-from ovibjax.edge.indoor import DIMS, Protocol, prepare_scene
+from ovibjax.edge.indoor import DIMS, Protocol, scene_data
 from ovibjax.edge.localize import ETAS
 from ovibjax.encoder.model import Architecture, decode, encode, locate
 from ovibjax.encoder.train import TrainConfig
@@ -31,7 +31,7 @@ def some(n, seed, n_views=4):
 
 @functools.cache
 def scene():
-    return prepare_scene(some(31, 1), some(12, 2), rank=6)
+    return scene_data(some(31, 1), some(12, 2), rank=6)
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +50,9 @@ def test_the_references_are_split_by_place_and_the_basis_sees_training_rows_only
     x = np.asarray(references.x)[references.train]
     np.testing.assert_allclose(x.mean(axis=0), 0, atol=1e-5)
     assert references.x.shape[1:] == queries.x.shape[1:] == (4, 6)
-    wide = prepare_scene(some(31, 1), some(12, 2), rank=64)[0]
+    wide = scene_data(some(31, 1), some(12, 2), rank=64)[0]
     assert wide.x.shape[2] == 10  # never more than there are; half the training frames otherwise
-    assert prepare_scene(some(20, 1), some(12, 2), rank=64)[0].x.shape[2] == 8
+    assert scene_data(some(20, 1), some(12, 2), rank=64)[0].x.shape[2] == 8
 
 
 def estimates(learned, x, rows, mode, k):
@@ -114,7 +114,7 @@ def test_queries_change_nothing_that_is_learnt():
     references, queries = some(31, 1), some(12, 2)
     strange = queries._replace(features=queries.features[::-1, ::-1], positions_m=queries.positions_m + 50)
     whole = quick(lambda key, pair: PROTOCOL(key, {}, pair))
-    one, other = (whole(jax.random.key(3), prepare_scene(references, asked, 6)) for asked in (queries, strange))
+    one, other = (whole(jax.random.key(3), scene_data(references, asked, 6)) for asked in (queries, strange))
     for name in ("eta", "val_m", "weights", "fold_m", "fold_uniform_m", "score", "best"):
         np.testing.assert_array_equal(one[name], other[name])
     assert not np.allclose(one["ovib_m"], other["ovib_m"])

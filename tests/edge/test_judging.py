@@ -7,7 +7,7 @@ import pytest
 
 from ovibjax.edge.judging import judge, judge_prefixes, judge_raw, one_standard_error_choice
 from ovibjax.edge.localize import ETAS
-from ovibjax.encoder.member_data import prepare
+from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture, decode, encode, init, locate
 from ovibjax.encoder.pca import fit_pca, pca_reconstruct
 from ovibjax.features.frames import make_feature_set, split_indices
@@ -26,7 +26,7 @@ def feature_set():
 
 @pytest.fixture(scope="module")
 def member(feature_set):
-    return prepare(feature_set, seed=1, rank=6)[0]
+    return member_data(feature_set, seed=1, rank=6)[0]
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_nothing_is_fitted_on_held_out_frames(feature_set) -> None:
     features[held_out] = features[held_out][:, :, ::-1]
     positions[held_out] += 1000
     changed = feature_set._replace(features=features, positions_m=positions)
-    (one, basis_one), (other, basis_other) = prepare(feature_set, 1, 6), prepare(changed, 1, 6)
+    (one, basis_one), (other, basis_other) = member_data(feature_set, 1, 6), member_data(changed, 1, 6)
     for a, b in zip(
         jax.tree.leaves((one.train, one.train_m, one.standardizer, basis_one)),
         jax.tree.leaves((other.train, other.train_m, other.standardizer, basis_other)),

@@ -10,8 +10,8 @@ from ovibjax.cards.ablation_study import GAMMA, ablate, named, table_rows
 from ovibjax.edge.judging import judge_prefixes
 from ovibjax.edge.member import DIMS, ORDERINGS, FuseAndLocate, JudgeOrdering, TrainAndJudge, Trained
 from ovibjax.encoder.attention import AttentionConfig
+from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.loss import make_hypers
-from ovibjax.encoder.member_data import prepare
 from ovibjax.encoder.model import Architecture, encode
 from ovibjax.encoder.rate import active_dims
 from ovibjax.encoder.train import TrainConfig, fit
@@ -29,7 +29,7 @@ def members():
     position = rng.uniform(-50, 50, (240, 3)).astype(np.float32)
     features = np.tanh(position @ rng.normal(size=(3, 60)) / 30).reshape(240, 5, 12)
     feature_set = make_feature_set(features, position)
-    return [prepare(feature_set, seed, 6)[0] for seed in (0, 1)]
+    return [member_data(feature_set, seed, 6)[0] for seed in (0, 1)]
 
 
 def test_train_and_judge_is_fit_then_judge(members):

@@ -11,8 +11,8 @@ import pytest
 
 from ovibjax.encoder import attention as module
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, init_attention
+from ovibjax.encoder.data_split import Standardizer
 from ovibjax.encoder.loss import make_hypers
-from ovibjax.encoder.member_data import Standardizer
 from ovibjax.encoder.train import TrainData
 from ovibjax.views import mask_table
 from tests.encoder.test_train import QUICK, lane, quick_jit, stack

@@ -1,4 +1,4 @@
-"""From a feature set and a seed to the arrays one member is trained and judged on."""
+"""The data of one member: a feature set split by seed, in the per-view basis of its training part."""
 
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ class Standardizer(NamedTuple):
     scale_m: jax.Array
 
 
-class Member(NamedTuple):
+class MemberData(NamedTuple):
     """Everything a member sees, split by seed.
 
     Attributes:
@@ -45,7 +45,7 @@ class Member(NamedTuple):
     standardizer: Standardizer
 
 
-def prepare(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tuple[Member, ViewBasis]:
+def member_data(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tuple[MemberData, ViewBasis]:
     """Split 70/15/15 by seed, fit the per-view basis on the training part, and project everything.
 
     Args:
@@ -66,7 +66,7 @@ def prepare(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tuple[
         x=jnp.asarray(coordinates["train"]),
         y=jnp.asarray((train_m - mean) / scale),
     )
-    member = Member(
+    member = MemberData(
         train=train,
         train_m=jnp.asarray(train_m),
         val_x=jnp.asarray(coordinates["val"]),
