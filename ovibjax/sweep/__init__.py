@@ -1,13 +1,13 @@
 """Whole grids in compiled calls: describe a grid, run it, store it, resume it, spread it.
 
-from ovibjax import sweep
-dataset = sweep.run(fn, {"beta": [1e-4, 1e-3], "gamma": [0, 0.1], "seed": range(5)}, data, store="runs/mine.zarr")
+>>> from ovibjax import sweep
+>>> def member(key, point, shared):  # computed at every point of the grid, in one program
+...     return {"cost": (point["beta"] - shared) ** 2 + point["gamma"]}
+>>> dataset = sweep.run(member, {"beta": [0.0, 1.0, 2.0], "gamma": [0.0, 0.5]}, 1.0)
+>>> dataset.cost.sel(gamma=0.5).values.tolist()
+[1.5, 0.5, 1.5]
 """
 
-from ovibjax.sweep.engine import Interrupted, run
-from ovibjax.sweep.grid import Axis
-from ovibjax.sweep.select import best, take, tree_of
-from ovibjax.sweep.store import open_dataset
-from ovibjax.sweep.work import Along
+import lazy_loader
 
-__all__ = ["Along", "Axis", "Interrupted", "best", "open_dataset", "run", "take", "tree_of"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,51 @@
+"""The public face: what each room offers, that it is there and explained, and that every example runs."""
+
+import importlib
+import pkgutil
+import subprocess
+import sys
+
+import pytest
+
+import ovibjax as ob
+
+PUBLIC = {
+    "ovibjax": """FeatureSet InputError cards cli control edge encoder features link make_feature_set report reproduce
+        room_features runtime scheduling sweep system town_features views world""",
+    "ovibjax.sweep": "Along Axis Interrupted best config_of on_ray open_dataset run take tree_of",
+}
+"""Public names by package; what is not written here may change from one version to the next."""
+
+
+def names(package):
+    return PUBLIC[package].split()
+
+
+@pytest.mark.parametrize("package", PUBLIC)
+def test_public_names(package):
+    module = importlib.import_module(package)
+    assert sorted(module.__all__) == names(package)
+    assert set(names(package)) <= set(dir(module))
+
+
+@pytest.fixture(scope="module")
+def everything():
+    """Every module imported, so that none can stand in the way of a public name."""
+    for found in pkgutil.walk_packages(ob.__path__, "ovibjax."):
+        if not found.name.endswith("__main__"):
+            importlib.import_module(found.name)
+
+
+@pytest.mark.parametrize("package", PUBLIC)
+def test_every_public_name_is_there_and_explained(package, everything):
+    module = importlib.import_module(package)
+    for name in names(package):
+        value = getattr(module, name)
+        assert value.__doc__, f"{package}.{name} has no docstring"
+        shadow = f"{package}.{name}"
+        assert shadow not in sys.modules or sys.modules[shadow] is value, f"{shadow} is a module as well"
+
+
+def test_importing_loads_no_jax():
+    code = "import sys, ovibjax as ob; assert dir(ob) and ob.__version__; sys.exit('jax' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
