@@ -20,7 +20,7 @@ from ovibjax.report.rows import write_rows
 from ovibjax.runtime.progress import console
 from ovibjax.scheduling.clients import Events, ReplayMetrics, default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case, compare
-from ovibjax.scheduling.priority import POLICIES, default_params
+from ovibjax.scheduling.rules import POLICIES, default_params
 
 TITLE = "Whom to serve: schedulers under congestion"
 VS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)

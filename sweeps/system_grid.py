@@ -18,7 +18,7 @@ from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, interval, pos
 from ovibjax.report.rows import write_rows
 from ovibjax.report.shares import variance_shares
 from ovibjax.runtime.progress import progress_bar
-from ovibjax.scheduling.priority import POLICIES
+from ovibjax.scheduling.rules import POLICIES
 from ovibjax.system.data import SystemSize
 from ovibjax.system.grids import sweep_system
 

@@ -20,7 +20,7 @@ from ovibjax.report.best import choose
 from ovibjax.report.claims import HELD, NOT_HELD, Claim, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.runtime.progress import progress_bar
-from ovibjax.scheduling.priority import POLICIES
+from ovibjax.scheduling.rules import POLICIES
 from ovibjax.system import chain as system
 from ovibjax.system.data import SystemSize, make_system
 from ovibjax.system.grids import sweep_system

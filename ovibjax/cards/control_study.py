@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ovibjax.control.environment import PAPER_SLOTS, Environment, Route, make_environment
 from ovibjax.control.policies import Controller
 from ovibjax.control.policy_study import (
     Outcome,
@@ -19,7 +20,6 @@ from ovibjax.control.policy_study import (
 from ovibjax.control.residuals import CheckpointConfig
 from ovibjax.control.route_replay import RouteResult
 from ovibjax.control.scene import DRIVES, Scene, embedded_drives, halves, make_scene
-from ovibjax.control.world import PAPER_SLOTS, Environment, Route, make_environment
 from ovibjax.features.frames import FeatureSet, content_hash
 
 PAPER_PROFILE_KB_PER_S = 8.0

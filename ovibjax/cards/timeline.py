@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.environment import SLOT_S
 from ovibjax.control.route_replay import RouteResult
-from ovibjax.control.world import SLOT_S
 from ovibjax.report import figures as fig
 
 MODE_MARKERS = {"F": "v", "FS": "o", "H4": "s", "A5": "D"}

@@ -60,10 +60,10 @@ class Replay:
         import jax
 
         from ovibjax.cards.control_study import PRESETS, drives_of
+        from ovibjax.control.environment import SLOT_S, draw, make_environment
         from ovibjax.control.policies import make_controller
         from ovibjax.control.route_replay import Params, replay, summarize
         from ovibjax.control.scene import make_scene
-        from ovibjax.control.world import SLOT_S, draw, make_environment
         from ovibjax.features.frames import load, require_frames
         from ovibjax.link.traces import read_trace, resample
 

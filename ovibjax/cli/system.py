@@ -56,7 +56,7 @@ class SweepSystem:
 
     def run(self) -> None:
         """Run the command."""
-        from ovibjax.scheduling.priority import POLICIES
+        from ovibjax.scheduling.rules import POLICIES
 
         at_least_zero = (lambda value: value >= 0, "zero or more")
         axes: dict[str, list[Any]] = {

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.environment import Draws, Environment, Route, draw, make_environment
 from ovibjax.control.policies import POLICIES, Controller, Rules, make_controller
 from ovibjax.control.route_replay import Params, RouteResult, Summary, plan, replay_schedule, score, summarize
 from ovibjax.control.scene import Scene
 from ovibjax.control.voi import Prices
-from ovibjax.control.world import Draws, Environment, Route, draw, make_environment
 
 SHOWN = ("voi", "budgeted_periodic")
 """Policies whose slots are kept: those that figures draw over time, and whose requests are scheduled."""

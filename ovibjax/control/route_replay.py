@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from ovibjax.control import belief
 from ovibjax.control.actions import ACTIONS, ActionSet
 from ovibjax.control.belief import Belief
+from ovibjax.control.environment import Draws, Environment, Route, draw
 from ovibjax.control.policies import (
     FOLLOW_VOI,
     POLICIES,
@@ -23,7 +24,6 @@ from ovibjax.control.policies import (
     schedule,
 )
 from ovibjax.control.voi import net_voi
-from ovibjax.control.world import Draws, Environment, Route, draw
 from ovibjax.link.latency import transmit_s
 from ovibjax.runtime.computed_once import computed_once
 

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from ovibjax.control.actions import ACTIONS, ActionSet
+from ovibjax.control.environment import PAPER_SLOTS, Route
 from ovibjax.control.residuals import (
     TRAIN_FRAMES,
     CheckpointConfig,
@@ -20,7 +21,6 @@ from ovibjax.control.residuals import (
     survey,
     train_checkpoint,
 )
-from ovibjax.control.world import PAPER_SLOTS, Route
 from ovibjax.features.frames import CONTEXTS, FeatureSet
 from ovibjax.world.town.feature_set import town_features
 from ovibjax.world.town.layout import TownConfig

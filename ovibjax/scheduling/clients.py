@@ -11,13 +11,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ovibjax.control.world import PAPER_SLOTS, PAPER_UPLOAD_SHARE, SLOT_S
+from ovibjax.control.environment import PAPER_SLOTS, PAPER_UPLOAD_SHARE, SLOT_S
 from ovibjax.edge.service import EDGE, ServiceProfile, draw_ms, estimate_ms
 from ovibjax.link.channel import fading_power, profile_rate_bps
 from ovibjax.link.latency import transmit_s
 from ovibjax.link.payload import request_bytes
-from ovibjax.scheduling.priority import SchedulerParams, scheduling_value
 from ovibjax.scheduling.requests import RequestTrace
+from ovibjax.scheduling.rules import SchedulerParams, scheduling_value
 from ovibjax.views import MODES
 
 _CONTEXTS = 3  # corridor, intersection, repetitive

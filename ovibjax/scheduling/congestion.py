@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.environment import SLOT_S
 from ovibjax.control.route_replay import RouteResult
-from ovibjax.control.world import SLOT_S
 from ovibjax.errors import InputError
 from ovibjax.scheduling.clients import Events, ReplayMetrics, TraceParams, Workload, make_trace, metrics
 from ovibjax.scheduling.lanes import run_grid
-from ovibjax.scheduling.priority import POLICIES, SchedulerParams
+from ovibjax.scheduling.rules import POLICIES, SchedulerParams
 
 LEVELS = {"low": (10, 12.0), "medium": (20, 8.0), "high": (30, 4.0)}
 """Congestion: clients, and the weak-link profile in KB/s."""

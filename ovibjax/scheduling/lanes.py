@@ -18,7 +18,9 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
 from ovibjax.errors import InputError
-from ovibjax.scheduling.priority import (
+from ovibjax.scheduling.queue_replay import served_order, to_trace_order
+from ovibjax.scheduling.requests import NEVER, Requests, RequestTrace, SplitTrace, check, sort_requests, split_times
+from ovibjax.scheduling.rules import (
     POLICIES,
     SchedulerParams,
     ValueCoefficients,
@@ -27,8 +29,6 @@ from ovibjax.scheduling.priority import (
     timing,
     weighted_sum,
 )
-from ovibjax.scheduling.queue_replay import served_order, to_trace_order
-from ovibjax.scheduling.requests import NEVER, Requests, RequestTrace, SplitTrace, check, sort_requests, split_times
 
 SLOTS = 32
 """Requests a list can hold: the bits of a word."""

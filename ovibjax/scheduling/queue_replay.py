@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.errors import InputError
-from ovibjax.scheduling.priority import BY_CLIENT, POLICIES, RULES, Queue, SchedulerParams, default_params
 from ovibjax.scheduling.requests import (
     NEVER,
     Numbers,
@@ -24,6 +23,7 @@ from ovibjax.scheduling.requests import (
     sort_requests,
     split_times,
 )
+from ovibjax.scheduling.rules import BY_CLIENT, POLICIES, RULES, Queue, SchedulerParams, default_params
 
 __all__ = ["POLICIES", "ReplayResult", "RequestTrace", "default_params", "run", "served_order", "waits"]
 

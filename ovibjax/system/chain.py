@@ -14,18 +14,18 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.control.actions import SweptActions
+from ovibjax.control.environment import Environment, Route, draw
 from ovibjax.control.policies import Controller
 from ovibjax.control.residuals import encode_views, mix_frames, retrieve
 from ovibjax.control.route_replay import Params as ControlParams
 from ovibjax.control.route_replay import RouteResult, simulate, summarize
-from ovibjax.control.world import Environment, Route, draw
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import Params
 from ovibjax.encoder.train import TrainConfig, TrainData, fit
 from ovibjax.link.latency import JETSON, compute_ms_at, transmit_s
 from ovibjax.scheduling.clients import Events, TraceParams, Workload, client_requests, flatten, metrics
 from ovibjax.scheduling.lanes import run_grid
-from ovibjax.scheduling.priority import POLICIES, SchedulerParams
+from ovibjax.scheduling.rules import POLICIES, SchedulerParams
 from ovibjax.views import mode_mask
 
 USES_V = ("base_dpp",)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.environment import make_environment
 from ovibjax.control.policies import make_controller
 from ovibjax.control.residuals import TRAIN_FRAMES, survey
 from ovibjax.control.scene import SURVEY_M
-from ovibjax.control.world import make_environment
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.errors import InputError
@@ -18,7 +18,7 @@ from ovibjax.features.basis import fit_basis, project
 from ovibjax.features.frames import CONTEXTS, FeatureSet
 from ovibjax.scheduling.clients import default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
-from ovibjax.scheduling.priority import default_params
+from ovibjax.scheduling.rules import default_params
 from ovibjax.system.chain import SystemConfig, SystemData
 from ovibjax.views import modes_for
 

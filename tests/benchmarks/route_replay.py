@@ -49,10 +49,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.environment import Draws, Environment, Route, draw, make_environment
 from ovibjax.control.policies import Controller, make_controller
 from ovibjax.control.route_replay import Params, Summary, score
 from ovibjax.control.voi import Prices
-from ovibjax.control.world import Draws, Environment, Route, draw, make_environment
 from tests.control.cases import for_oracle
 from tests.oracles import control as oracle
 

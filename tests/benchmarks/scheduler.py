@@ -40,8 +40,8 @@ import simpy
 
 from ovibjax.scheduling.clients import default_trace_params, make_trace, synthetic_events
 from ovibjax.scheduling.lanes import run_grid
-from ovibjax.scheduling.priority import SchedulerParams, Weights, default_params, scheduling_value
 from ovibjax.scheduling.requests import RequestTrace, sort_requests, split_times
+from ovibjax.scheduling.rules import SchedulerParams, Weights, default_params, scheduling_value
 from tests.oracles import scheduling as oracle
 
 CLIENTS, EVENTS, RATE_KB_PER_S = 30, 22, 4.0

@@ -37,14 +37,14 @@ import numpy as np
 import torch
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.environment import draw
 from ovibjax.control.residuals import encode_views, mix_frames
 from ovibjax.control.route_replay import Params, simulate
 from ovibjax.control.scene import embedded_drives
-from ovibjax.control.world import draw
 from ovibjax.encoder.model import dense_layers
-from ovibjax.scheduling.priority import POLICIES, default_params
 from ovibjax.scheduling.queue_replay import waits
 from ovibjax.scheduling.requests import RequestTrace
+from ovibjax.scheduling.rules import POLICIES, default_params
 from ovibjax.system import chain as system
 from ovibjax.system.data import SystemSize, make_system
 from ovibjax.system.grids import sweep_system

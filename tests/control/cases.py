@@ -8,9 +8,9 @@ import numpy as np
 
 from ovibjax.control import route_replay as replay
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.environment import Route, draw, make_environment
 from ovibjax.control.policies import FOLLOW_VOI, POLICIES, make_controller
 from ovibjax.control.route_replay import Params
-from ovibjax.control.world import Route, draw, make_environment
 from tests.oracles import control as oracle
 
 SLOTS = 60

@@ -11,8 +11,8 @@ from ovibjax.control import belief
 from ovibjax.control import route_replay as replay
 from ovibjax.control.actions import ACTIONS
 from ovibjax.control.belief import Belief
+from ovibjax.control.environment import Route, draw, drift_from_paper, make_environment
 from ovibjax.control.route_replay import Params
-from ovibjax.control.world import Route, draw, drift_from_paper, make_environment
 from tests.control.cases import PREDICTED, controller, environment
 from tests.oracles import control as oracle
 

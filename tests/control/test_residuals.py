@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from ovibjax.control import residuals
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.environment import drift_from_paper
 from ovibjax.control.residuals import CheckpointConfig
 from ovibjax.control.scene import make_scene
-from ovibjax.control.world import drift_from_paper
 from ovibjax.encoder.model import decode, encode
 from ovibjax.features.basis import project
 from ovibjax.features.frames import FeatureSet

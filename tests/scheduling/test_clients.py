@@ -7,8 +7,8 @@ import pytest
 
 from ovibjax.edge.service import EDGE, estimate_ms
 from ovibjax.scheduling.clients import Workload, default_trace_params, make_trace, metrics, synthetic_events
-from ovibjax.scheduling.priority import default_params
 from ovibjax.scheduling.queue_replay import POLICIES, waits
+from ovibjax.scheduling.rules import default_params
 from tests.oracles import scheduling as oracle
 from tests.scheduling.random_requests import random_trace
 

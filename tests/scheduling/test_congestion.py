@@ -11,8 +11,8 @@ from ovibjax.control.actions import ACTIONS
 from ovibjax.errors import InputError
 from ovibjax.scheduling.clients import default_trace_params, make_trace, metrics, synthetic_events
 from ovibjax.scheduling.congestion import Case, compare, recorded_events, search, workloads
-from ovibjax.scheduling.priority import default_params
 from ovibjax.scheduling.queue_replay import waits
+from ovibjax.scheduling.rules import default_params
 
 SEEDS, N_MAX = 3, 6
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from ovibjax.errors import InputError
 from ovibjax.scheduling.lanes import run_grid
-from ovibjax.scheduling.priority import Weights
 from ovibjax.scheduling.queue_replay import POLICIES, ReplayResult, default_params, run, waits
 from ovibjax.scheduling.requests import RequestTrace
+from ovibjax.scheduling.rules import Weights
 from tests.oracles import scheduling as oracle
 from tests.scheduling.random_requests import KINDS, random_trace, stack, take
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ovibjax.scheduling.lanes import run_grid
-from ovibjax.scheduling.priority import default_params
 from ovibjax.scheduling.requests import RequestTrace
+from ovibjax.scheduling.rules import default_params
 from tests.scheduling.random_requests import stack
 
 RUNS, N = 48, 12_000

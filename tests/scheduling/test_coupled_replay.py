@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.environment import Route, draw, make_environment
 from ovibjax.control.policies import make_controller
 from ovibjax.control.route_replay import Params, simulate
-from ovibjax.control.world import Route, draw, make_environment
-from ovibjax.scheduling.coupled import CoupledResult, Mission, run
-from ovibjax.scheduling.priority import default_params
+from ovibjax.scheduling.coupled_replay import CoupledResult, Mission, run
+from ovibjax.scheduling.rules import default_params
 
 SLOTS = 40
 

@@ -13,12 +13,12 @@ import jax.numpy as jnp
 
 from ovibjax.control import belief
 from ovibjax.control.actions import ACTIONS, ActionSet
+from ovibjax.control.environment import SLOT_S, Draws, Route
 from ovibjax.control.route_replay import Params, Slot, SlotInfo, State, decide, observe, respond, slots_of, start
-from ovibjax.control.world import SLOT_S, Draws, Route
 from ovibjax.edge.service import draw_ms, estimate_ms
 from ovibjax.link.latency import JETSON, compute_ms_at, transmit_s
-from ovibjax.scheduling.priority import RULES, Queue, SchedulerParams
 from ovibjax.scheduling.requests import NEVER, Requests
+from ovibjax.scheduling.rules import RULES, Queue, SchedulerParams
 
 _TICKS_PER_MS = 1024.0
 _FASTEST_SERVICE_MS = 10.0
