@@ -1,0 +1,105 @@
+"""The panels of the ablation figure: orthogonality weight, order of coordinates, components, paired differences."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from ovibjax.cards.ablation_study import GAMMA, Ablation, named
+from ovibjax.report import figures as fig
+from ovibjax.report.claims import interval
+from ovibjax.report.panels import Bar, bars, category_axis, paper_tick, sheet, star
+
+NAMES = {
+    "full": "Full",
+    "no_rate": "no rate (β = 0)",
+    "no_orthogonality": "no orthogonality (γ = 0)",
+    "no_nesting": "no nesting",
+    "pca": "PCA",
+}
+COLOURS = {
+    "full": fig.BLUE,
+    "no_rate": fig.SKY,
+    "no_orthogonality": fig.GREEN,
+    "no_nesting": fig.ORANGE,
+    "pca": fig.RED,
+}
+
+
+def draw(path: Path, found: Ablation, gammas: Sequence[float], k: int, paper_m: Mapping[str, float]) -> None:
+    """Draw the four panels.
+
+    Args:
+        path: the PNG.
+        found: the ablation.
+        gammas: positive orthogonality weights.
+        k: prefix at which variants are compared.
+        paper_m: the paper's mean errors at that prefix, metres, by variant.
+    """
+    with sheet(path, 2, 2, height_in=2.3) as (weight, order, components, zoom):
+        _draw_gamma(weight, found, (0.0, *gammas), k)
+        _draw_orders(order, found)
+        _draw_components(components, found, k, paper_m)
+        _draw_differences(zoom, found, (0.0, *gammas), k, paper_m)
+
+
+def _draw_gamma(ax: Axes, found: Ablation, gammas: Sequence[float], k: int) -> None:
+    x = np.arange(len(gammas))
+    for metric, label, colour, style in (
+        ("test_mean_m", "test", fig.BLUE, "-"),
+        ("val_mean_m", "validation", fig.GREY, "--"),
+    ):
+        curves = np.stack([found.at(named(gamma), k, metric) for gamma in gammas], axis=1)
+        fig.band(ax, x, curves, colour, label, style, "o")
+    chosen = found.selected_gamma(k)
+    at = min(range(len(gammas)), key=lambda i: abs(gammas[i] - chosen))
+    error_m = found.at(named(gammas[at]), k).mean()
+    star(ax, at, error_m, f"selected γ = {chosen:g}: {error_m:.1f} m")
+    ax.set_xticks(x, [f"{gamma:g}" for gamma in gammas])
+    ax.set(xlabel="orthogonality weight γ", ylabel=f"mean error at k = {k} (m)")
+    ax.set_ylim(bottom=0)
+    ax.legend(loc="lower left")
+    fig.title(ax, "a", "orthogonality weight")
+
+
+def _draw_orders(ax: Axes, found: Ablation) -> None:
+    k = np.array(found.ks)
+    fig.band(ax, k, found.orders.sel(ordering="learned").values, COLOURS["full"], "learned order")
+    fig.band(ax, k, found.random_errors(), fig.GREEN, "random order", "--")
+    fig.band(ax, k, found.orders.sel(ordering="tail_first").values, fig.ORANGE, "tail first", "-.")
+    ax.set(xlabel="coordinates kept k", ylabel="mean error (m)", yscale="log", xlim=(0, 129))
+    fig.plain_log_ticks(ax.yaxis)
+    ax.legend(loc="center", bbox_to_anchor=(0.42, 0.36))
+    fig.title(ax, "b", "the order is learned")
+
+
+def _draw_components(ax: Axes, found: Ablation, k: int, paper_m: Mapping[str, float]) -> None:
+    spans = {name: interval(found.at(name, k)) for name in NAMES}
+    rows = [
+        Bar(NAMES[name], span, COLOURS[name], paper_m.get(name), f"{span.mean:.1f} m") for name, span in spans.items()
+    ]
+    bars(ax, rows)
+    ax.set(xlabel=f"mean error at k = {k} (m)", xscale="log", xlim=(1, 500))
+    ax.legend(loc="lower right")
+    fig.plain_log_ticks(ax.xaxis, subs=(1.0, 3.0))
+    fig.title(ax, "c", "components")
+
+
+def _draw_differences(ax: Axes, found: Ablation, gammas: Sequence[float], k: int, paper_m: Mapping[str, float]) -> None:
+    """Errors minus those of Full, paired over seeds: interval, and a dot per seed."""
+    names = ["no_rate", *(named(gamma) for gamma in gammas if gamma != GAMMA)]
+    for row, name in enumerate(names):
+        differences = found.at(name, k) - found.at("full", k)
+        span = interval(differences)
+        colour = COLOURS.get(name, fig.PURPLE)
+        ax.errorbar(span.mean, row, xerr=span.cap, fmt="o", ms=4, color=colour, capsize=2, lw=1.2)
+        ax.plot(differences, np.full(len(differences), row + 0.28), ".", ms=3, color="#888888")
+        if name in paper_m:
+            paper_tick(ax, paper_m[name] - paper_m["full"], row, 13.0)
+    ax.plot([], [], "|", ms=13, mew=1.8, color="black", label="paper")
+    ax.axvline(0, color=fig.BLUE, lw=1)
+    category_axis(ax, [NAMES.get(name, "γ = " + name.removeprefix("gamma_")) for name in names])
+    ax.set(xlabel=f"error minus error of Full at k = {k} (m)")
+    ax.legend(loc="lower left")
+    fig.title(ax, "d", "zoom: paired differences to Full")
