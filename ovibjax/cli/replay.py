@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ovibjax.cli.options import own_frames
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
@@ -64,14 +65,10 @@ class Replay:
         from ovibjax.control.policies import make_controller
         from ovibjax.control.route_replay import Params, replay, summarize
         from ovibjax.control.scene import make_scene
-        from ovibjax.features.frames import load, require_frames
         from ovibjax.link.traces import read_trace, resample
 
         measured = read_trace(self.trace) if self.trace is not None else None
-        own = None
-        if self.data is not None:
-            own = load(self.data)
-            require_frames(own, source=str(self.data))
+        own = own_frames(self.data)
         with progress_bar("rendering the routes", 1) as update:
             drives, training = drives_of("full", own, update)
         with console.status("training the checkpoint, retrieving residuals"):

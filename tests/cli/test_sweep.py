@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ovibjax.cli.main import check_options, main
-from ovibjax.cli.sweep import integers, numbers
+from ovibjax.cli.options import integers, numbers
 from ovibjax.errors import InputError
 from ovibjax.sweep.store import open_dataset
 

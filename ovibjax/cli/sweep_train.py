@@ -1,13 +1,12 @@
-"""The commands `ovibjax sweep train` and `ovibjax show`."""
+"""The command `ovibjax sweep train`: an encoder trained and judged at every point of a grid."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import tyro
-
+from ovibjax.cli.options import going_on_in, integers, numbers, require_positive
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
@@ -76,11 +75,7 @@ class SweepTrain:
         if self.devices is not None:
             _split_processor(self.devices)
         axes, prefixes = self._axes(), self._prefixes()
-        for name in ("steps", "batch", "latent"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name} {getattr(self, name)} is not positive")
-        if self.chunk is not None and self.chunk < 1:
-            raise InputError(f"--chunk {self.chunk} is not positive")
+        require_positive(self, "steps", "batch", "latent", "chunk")
         if self.address is not None and self.on != "ray":
             raise InputError("--address is for --on ray")
         self._train(axes, prefixes, self._executor())
@@ -113,7 +108,7 @@ class SweepTrain:
         from ovibjax.encoder.data_split import member_data
         from ovibjax.encoder.model import Architecture
         from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
-        from ovibjax.sweep.engine import Interrupted, run
+        from ovibjax.sweep.engine import run
         from ovibjax.sweep.work import Along
         from ovibjax.views import full_mode, modes_for
 
@@ -138,147 +133,23 @@ class SweepTrain:
         )
         settings = {"data": source, "rank": self.rank, "steps": self.steps, "batch": self.batch, "latent": self.latent}
         settings |= {"prior": self.prior, "precision": self.precision, "prefix": list(prefixes), "mode": list(modes)}
-        with progress_bar("training", 1) as update:
-            try:
-                dataset = run(
-                    TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),
-                    axes,
-                    Along("seed", members),
-                    dims=DIMS,
-                    coords={"prefix": list(prefixes), "mode": list(modes)},
-                    units=UNITS,
-                    store=self.out,
-                    settings=settings,
-                    chunk=self.chunk,
-                    executor=executor,
-                    on_progress=update,
-                )
-            except Interrupted as error:
-                done = error.dataset.finished
-                raise KeyboardInterrupt(
-                    f"interrupted; {int(done.sum())} of {done.size} members are in {self.out}: "
-                    "repeat the command to go on"
-                ) from None
+        with progress_bar("training", 1) as update, going_on_in(self.out):
+            dataset = run(
+                TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),
+                axes,
+                Along("seed", members),
+                dims=DIMS,
+                coords={"prefix": list(prefixes), "mode": list(modes)},
+                units=UNITS,
+                store=self.out,
+                settings=settings,
+                chunk=self.chunk,
+                executor=executor,
+                on_progress=update,
+            )
         diverged = int(dataset.diverged.sum())
         note = f", {diverged} diverged" if diverged else ""
         console.print(f"{dataset.finished.size} members{note}: {self.out}\nlook at them: ovibjax show {self.out}")
-
-
-@dataclass(frozen=True)
-class Show:
-    """Show the results of a sweep: a table here, a CSV file, or a plot; also while the sweep is running.
-
-    Example: ovibjax show runs/mine.zarr --metric test_mean_m --where prefix=35 --plot gamma --hue beta
-    """
-
-    path: tyro.conf.Positional[Path]
-    """The store, a folder that `ovibjax sweep` wrote."""
-    metric: str | None = None
-    """What to show; all metrics by default."""
-    where: tuple[str, ...] = ()
-    """Points to keep, e.g. prefix=16,35 beta=1e-3."""
-    over: str = "seed"
-    """The axis to average over, with 95 % intervals."""
-    rows: int = 40
-    """Rows of the table at most."""
-    csv: Path | None = None
-    """Write every member as a row of this CSV file."""
-    plot: str | None = None
-    """Plot the metric against this axis."""
-    hue: str | None = None
-    """One line per value of this axis."""
-    out: Path | None = None
-    """File of the plot (.png, .pdf or .svg); PATH with .png by default."""
-
-    def run(self) -> None:
-        """Run the command."""
-        from rich.console import Console
-
-        from ovibjax.report.labels import select
-        from ovibjax.report.lines import plot
-        from ovibjax.report.show import table, write_csv
-        from ovibjax.sweep.store import open_dataset
-
-        dataset = select(open_dataset(self.path), self.where)
-        if self.csv is not None:
-            _writing(self.csv, lambda path: write_csv(dataset, path))
-        if self.plot is not None:
-            _writing(
-                self.out or self.path.with_suffix(".png"),
-                lambda path: plot(dataset, path, self.plot or "", self.metric, self.hue, self.over),
-            )
-        if self.csv is None and self.plot is None:
-            Console().print(table(dataset, self.metric, self.over, self.rows))
-
-
-def numbers(name: str, items: Sequence[str], valid: Callable[[float], bool], rule: str) -> list[float]:
-    """Values of a real axis.
-
-    Args:
-        name: the axis.
-        items: what was typed.
-        valid: whether a value is possible.
-        rule: what possible values are, in words.
-
-    Returns:
-        The values, in the order given.
-
-    Raises:
-        InputError: not a number, or an impossible one.
-    """
-    values = []
-    for item in items:
-        try:
-            value = float(item)
-        except ValueError:
-            raise InputError(f"--{name} {item}: not a number; values are {rule}") from None
-        if not valid(value) or value in (float("inf"), float("-inf")):
-            raise InputError(f"--{name} {item}: values are {rule}")
-        values.append(value)
-    if not values:
-        raise InputError(f"--{name} has no value; values are {rule}")
-    return values
-
-
-def integers(name: str, items: Sequence[str], low: int, high: int) -> list[int]:
-    """Values of a whole-number axis; FROM:TO stands for FROM ... TO-1.
-
-    Args:
-        name: the axis.
-        items: what was typed.
-        low: smallest possible value.
-        high: largest possible value.
-
-    Returns:
-        The values, in the order given.
-
-    Raises:
-        InputError: not a whole number or range, or an impossible one.
-    """
-    values: list[int] = []
-    for item in items:
-        first, colon, last = item.partition(":")
-        try:
-            found = range(int(first), int(last)) if colon else [int(item)]
-        except ValueError:
-            raise InputError(f"--{name} {item}: not a whole number or a range such as 0:5") from None
-        if not found:
-            raise InputError(f"--{name} {item}: the range is empty")
-        if min(found) < low or max(found) > high:
-            raise InputError(f"--{name} {item}: values are {low} to {high}")
-        values.extend(found)
-    if not values:
-        raise InputError(f"--{name} has no value")
-    return values
-
-
-def _writing(path: Path, write: Callable[[Path], Any]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot write there ({error.strerror}); choose another file") from error
-    console.print(f"written: {path}")
 
 
 def _split_processor(devices: int) -> None:

@@ -1,13 +1,10 @@
-"""The commands `ovibjax sweep system` and `ovibjax best`."""
+"""The command `ovibjax sweep system`: the whole system at every point of a grid."""
 
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
-import tyro
-
-from ovibjax.cli.sweep import integers, numbers
+from ovibjax.cli.options import going_on_in, integers, numbers, own_frames, require_positive
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
@@ -57,6 +54,7 @@ class SweepSystem:
     def run(self) -> None:
         """Run the command."""
         from ovibjax.scheduling.rules import POLICIES
+        from ovibjax.system.data import PREFIXES
 
         at_least_zero = (lambda value: value >= 0, "zero or more")
         axes: dict[str, list[Any]] = {
@@ -64,95 +62,41 @@ class SweepSystem:
             "gamma": numbers("gamma", self.gamma, *at_least_zero),
             "seed": integers("seed", self.seed, 0, 2**31 - 1),
         }
-        from ovibjax.system.data import PREFIXES
-
         along: dict[str, list[Any]] = {"k": sorted(set(integers("k", self.k, 1, max(PREFIXES))))}
         along["V"] = numbers("V", self.V, *at_least_zero)
         schedulers = POLICIES if self.scheduler == ("all",) else self.scheduler
         for name in schedulers:
             if name not in POLICIES:
                 raise InputError(f"--scheduler {name}: there are {', '.join(POLICIES)}")
-        for name in ("steps", "clients", "fleet", "chunk"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InputError(f"--{name} {value} is not positive")
+        require_positive(self, "steps", "clients", "fleet", "chunk")
         if not self.kb_per_s > 0:
             raise InputError(f"--kb-per-s {self.kb_per_s} is not positive")
         self._sweep(axes, along, tuple(schedulers))
 
     def _sweep(self, axes: dict[str, list[Any]], along: dict[str, Any], schedulers: tuple[str, ...]) -> None:
         from ovibjax.cards.control_study import drives_of
-        from ovibjax.features.frames import load, require_frames
-        from ovibjax.sweep.engine import Interrupted
         from ovibjax.system.data import SystemSize
         from ovibjax.system.grids import sweep_system
 
-        own = None
-        if self.data is not None:
-            own = load(self.data)
-            require_frames(own, source=str(self.data))
+        own = own_frames(self.data)
         with progress_bar("rendering the routes", 1) as update:
             drives, training = drives_of("full", own, update)
         size = SystemSize(steps=self.steps, clients=self.clients, fleet=self.fleet, kb_per_s=self.kb_per_s)
         settings: dict[str, Any] = {"policy": self.policy, "data": str(self.data) if self.data else "embedded"}
         settings |= {"steps": self.steps, "clients": self.clients, "fleet": self.fleet, "kb_per_s": self.kb_per_s}
         settings |= {"k": along["k"], "V": along["V"], "scheduler": list(schedulers)}
-        with progress_bar("training and replaying", 1) as update:
-            try:
-                dataset = sweep_system(
-                    (drives, training, size),
-                    axes,
-                    (along["k"], along["V"], schedulers),
-                    self.policy,
-                    store=self.out,
-                    settings=settings,
-                    chunk=self.chunk or 1,
-                    on_progress=update,
-                )
-            except Interrupted as error:
-                done = error.dataset.finished
-                raise KeyboardInterrupt(
-                    f"interrupted; {int(done.sum())} of {done.size} members are in {self.out}: "
-                    "repeat the command to go on"
-                ) from None
+        with progress_bar("training and replaying", 1) as update, going_on_in(self.out):
+            dataset = sweep_system(
+                (drives, training, size),
+                axes,
+                (along["k"], along["V"], schedulers),
+                self.policy,
+                store=self.out,
+                settings=settings,
+                chunk=self.chunk or 1,
+                on_progress=update,
+            )
         lost = int(dataset.unserved.sum())
         note = f"; {lost} requests exceeded the room kept for them" if lost else ""
         points = dataset.top_cost.size
         console.print(f"{points} points{note}: {self.out}\nlook at them: ovibjax show {self.out}")
-
-
-@dataclass(frozen=True)
-class Best:
-    """Print the point of a sweep with the lowest metric under bounds, and the command that reruns it alone.
-
-    Example: ovibjax best runs/system.zarr --minimise mean_route_m --subject-to 'kb<=2.1' 'top_edge_p95_ms<=60'
-    """
-
-    path: tyro.conf.Positional[Path]
-    """The store, a folder that `ovibjax sweep` wrote."""
-    minimise: str
-    """The metric to minimise, averaged over OVER."""
-    subject_to: tuple[str, ...] = ()
-    """Bounds on other metrics: METRIC<=NUMBER, also >=, < and >; in quotes."""
-    where: tuple[str, ...] = ()
-    """Points to choose among, e.g. k=16,32."""
-    over: str = "seed"
-    """The axis to average over."""
-
-    def run(self) -> None:
-        """Run the command."""
-        from ovibjax.report.best import choose, command
-        from ovibjax.report.labels import select, text_of, with_unit
-        from ovibjax.sweep.store import config_of, open_dataset
-
-        dataset = select(open_dataset(self.path), self.where)
-        found = choose(dataset, self.minimise, self.subject_to, self.over)
-        print(", ".join(f"{axis} = {text_of(value)}" for axis, value in found.point.items()))
-        for name, mean in found.means.items():
-            if mean == mean:
-                half = found.halves[name]
-                print(f"  {with_unit(dataset, name)}: {mean:.4g}" + (f" ± {half:.2g}" if isfinite(half) else ""))
-        print(f"  best of {found.feasible} points that keep the bounds, of {found.points}; means over {self.over}")
-        config = config_of(self.path) or {}
-        over = {self.over: found.over} if found.over else {}
-        print(command(config, found.point, over, str(self.path.with_name(f"{self.path.stem}-best.zarr"))))

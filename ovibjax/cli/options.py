@@ -1,0 +1,123 @@
+"""What several commands share: lists of numbers as typed, somebody's own frames, and how a command stops."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ovibjax.errors import InputError
+
+if TYPE_CHECKING:
+    from ovibjax.features.frames import FeatureSet
+
+
+def numbers(name: str, items: Sequence[str], valid: Callable[[float], bool], rule: str) -> list[float]:
+    """Values of a real axis.
+
+    Args:
+        name: the axis.
+        items: what was typed.
+        valid: whether a value is possible.
+        rule: what possible values are, in words.
+
+    Returns:
+        The values, in the order given.
+
+    Raises:
+        InputError: not a number, or an impossible one.
+    """
+    values = []
+    for item in items:
+        try:
+            value = float(item)
+        except ValueError:
+            raise InputError(f"--{name} {item}: not a number; values are {rule}") from None
+        if not valid(value) or value in (float("inf"), float("-inf")):
+            raise InputError(f"--{name} {item}: values are {rule}")
+        values.append(value)
+    if not values:
+        raise InputError(f"--{name} has no value; values are {rule}")
+    return values
+
+
+def integers(name: str, items: Sequence[str], low: int, high: int) -> list[int]:
+    """Values of a whole-number axis; FROM:TO stands for FROM ... TO-1.
+
+    Args:
+        name: the axis.
+        items: what was typed.
+        low: smallest possible value.
+        high: largest possible value.
+
+    Returns:
+        The values, in the order given.
+
+    Raises:
+        InputError: not a whole number or range, or an impossible one.
+    """
+    values: list[int] = []
+    for item in items:
+        first, colon, last = item.partition(":")
+        try:
+            found = range(int(first), int(last)) if colon else [int(item)]
+        except ValueError:
+            raise InputError(f"--{name} {item}: not a whole number or a range such as 0:5") from None
+        if not found:
+            raise InputError(f"--{name} {item}: the range is empty")
+        if min(found) < low or max(found) > high:
+            raise InputError(f"--{name} {item}: values are {low} to {high}")
+        values.extend(found)
+    if not values:
+        raise InputError(f"--{name} has no value")
+    return values
+
+
+def require_positive(command: object, *names: str) -> None:
+    """Refuse a count that is not one or more; None, where a command has it, stands for a default.
+
+    Args:
+        command: the parsed command.
+        names: options of it.
+
+    Raises:
+        InputError: one of them is zero or negative.
+    """
+    for name in names:
+        value = getattr(command, name)
+        if value is not None and value < 1:
+            raise InputError(f"--{name} {value} is not positive")
+
+
+def own_frames(data: Path | None) -> "FeatureSet | None":
+    """Somebody's feature set, if one is given.
+
+    Args:
+        data: `.npz` or folder; None for embedded data.
+
+    Returns:
+        The feature set, or None.
+
+    Raises:
+        InputError: unreadable data, or too few frames.
+    """
+    if data is None:
+        return None
+    from ovibjax.features.frames import load, require_frames
+
+    own = load(data)
+    require_frames(own, source=str(data))
+    return own
+
+
+@contextmanager
+def going_on_in(store: Path) -> Iterator[None]:
+    """After Ctrl-C during a sweep, say what is kept and how to go on."""
+    from ovibjax.sweep.engine import Interrupted
+
+    try:
+        yield
+    except Interrupted as error:
+        done = error.dataset.finished
+        raise KeyboardInterrupt(
+            f"interrupted; {int(done.sum())} of {done.size} members are in {store}: repeat the command to go on"
+        ) from None

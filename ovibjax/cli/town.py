@@ -1,0 +1,45 @@
+"""The command `ovibjax town`: the embedded town as pictures and files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ovibjax.errors import InputError
+from ovibjax.runtime.progress import console
+
+
+@dataclass(frozen=True)
+class Town:
+    """Draw the embedded town: a contact sheet, and on request frames in the released data set's folder layout."""
+
+    out: Path
+    """Folder for contact_sheet.png and the frames; made if missing."""
+    frames: int = 0
+    """Frames to write as rgb/ depth/ semantic/ metadata/ calibration/ (400 x 300, five cameras); none by default."""
+    seed: int = 5
+    """The town; another seed is another town."""
+    route: int = 0
+    """The drive through it."""
+
+    def run(self) -> None:
+        """Run the command."""
+        from ovibjax.runtime.progress import progress_bar
+        from ovibjax.world.town.files import contact_sheet, write_frames
+        from ovibjax.world.town.layout import TownConfig
+
+        for name, value in (("frames", self.frames), ("seed", self.seed), ("route", self.route)):
+            if value < 0:
+                raise InputError(f"--{name} {value} is negative")
+        config = TownConfig(seed=self.seed)
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+            with console.status("drawing the contact sheet"):
+                contact_sheet(config, self.out / "contact_sheet.png")
+        except OSError as error:
+            raise InputError(
+                f"{self.out}: cannot write there ({error.strerror}); choose another folder with --out"
+            ) from error
+        console.print(f"contact sheet: {self.out / 'contact_sheet.png'}")
+        if self.frames:
+            with progress_bar(f"writing {self.frames} frames", self.frames) as update:
+                write_frames(config, self.out, self.frames, self.route, on_frame=lambda done, _: update(done))
+            console.print(f"frames: {self.out}")
