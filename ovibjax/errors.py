@@ -1,4 +1,9 @@
-"""The one exception that means: the input is at fault, and here is what to do about it."""
+"""The one exception that means: the input is at fault, and here is what to do about it; and how its line is worded."""
+
+import os
+
+StrPath = str | os.PathLike[str]
+"""A path, as text or as an object."""
 
 
 class InputError(ValueError):
@@ -6,3 +11,16 @@ class InputError(ValueError):
 
     The command line prints the message as one line and exits with code 2; as a library exception it is a `ValueError`.
     """
+
+
+def refusal(source: StrPath, reason: str) -> InputError:
+    """The error for one bad input: `source: reason` on one line, whatever the file is called."""
+    # Corrupt headers can put thousands of characters into a reason.
+    line = f"{os.fspath(source)}: {reason if len(reason) <= 300 else reason[:297] + '...'}"
+    return InputError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in line))
+
+
+def unreadable(path: StrPath, what: str, error: BaseException) -> InputError:
+    """A refusal that quotes the beginning of the underlying error."""
+    text = " ".join(str(error).split())[:120]
+    return refusal(path, f"{what} ({type(error).__name__}{': ' if text else ''}{text})")

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ovibjax.cards.job import Job
-from ovibjax.features.describe import Description, describe
+from ovibjax.features.description import Description, describe
 from ovibjax.features.frames import CONTEXTS, FeatureSet, split_indices
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, REPORTED, Claim, write_claims

@@ -12,7 +12,7 @@ from ovibjax.features.backbones.by_name import BackboneOptions
 from ovibjax.runtime.progress import console, progress_bar
 
 if TYPE_CHECKING:
-    from ovibjax.features.images.folder import OnStep, Skipped
+    from ovibjax.features.images.source import OnStep, Skipped
 
 _NAMED = 20  # frames named per reason; the counts are complete
 
@@ -62,8 +62,8 @@ class Features:
     def run(self) -> None:
         """Run the command."""
         from ovibjax.features.frames import MIN_FRAMES
+        from ovibjax.features.images.by_path import open_source
         from ovibjax.features.images.extraction import check_out, extract
-        from ovibjax.features.images.sources import open_source
 
         check_out(self.out)
         with _steps() as on_step:

@@ -2,13 +2,13 @@
 
 import hashlib
 import operator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ovibjax.features.feature_files import OnFrame, StrPath, read_npz, read_view_folder, refusal, write_npz
+from ovibjax.errors import refusal
 from ovibjax.views import VIEWS, modes_for
 
 CONTEXTS: tuple[str, ...] = ("corridor", "intersection", "repetitive")
@@ -19,6 +19,9 @@ MAX_ID_CHARS = 255
 """Longest frame name."""
 MIN_REFERENCES, MIN_QUERIES = 20, 5
 """Fewest frames of the motion-capture protocol: five spatial folds of four references each, and a few queries."""
+
+OnFrames = Callable[[int, int], None]
+"""Called with the frames done so far and the frames in all."""
 
 _KIND_NAMES = {"iuf": "real numbers", "iu": "integers", "U": "text", "iuU": "text or integers"}
 _NORM_TOLERANCE = 1e-6  # float32 rounding of a unit vector stays within 1e-7
@@ -174,44 +177,6 @@ def make_feature_set(
         names,
     )
     return validate(FeatureSet(*fields), source)
-
-
-def save(path: StrPath, feature_set: FeatureSet) -> None:
-    """Write a feature set to an `.npz` file, whole or not at all.
-
-    Args:
-        path: the file to write or replace; its folder must exist.
-        feature_set: checked before anything is written.
-
-    Raises:
-        InputError: the set is not valid, or the file cannot be written.
-    """
-    write_npz(path, validate(feature_set, str(path))._asdict())
-
-
-def load(path: StrPath, on_frame: OnFrame | None = None) -> FeatureSet:
-    """Read a feature set from an `.npz` file or from a folder in the layout of the paper's authors.
-
-    Args:
-        path: an archive with `features`, `positions_m` and, optionally, the other fields of `FeatureSet`; or
-            a folder `view_features/<Camera>/<frame>.npz` (see `feature_files.read_view_folder`).
-        on_frame: called with (frames read, frames in all) while a folder is read.
-
-    Returns:
-        The checked set. A folder gives no yaw, context or scene: they take their defaults.
-
-    Raises:
-        InputError: the file or folder is missing, corrupt or not valid; the message names it and the reason.
-    """
-    try:
-        is_folder = Path(path).is_dir()
-    except OSError as error:
-        raise refusal(path, f"unreadable path ({error.strerror})") from error
-    if is_folder:
-        arrays = read_view_folder(path, on_frame)
-    else:
-        arrays = read_npz(path, FeatureSet._fields[:2], FeatureSet._fields[2:])
-    return make_feature_set(**arrays, source=str(path))
 
 
 def require_frames(feature_set: FeatureSet, minimum: int = MIN_FRAMES, source: str = "array") -> None:

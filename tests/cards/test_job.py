@@ -12,7 +12,8 @@ from ovibjax.cards import catalog
 from ovibjax.cards.job import _remove_old
 from ovibjax.cards.reproduce import reproduce
 from ovibjax.errors import InputError
-from ovibjax.features.frames import make_feature_set, save
+from ovibjax.features.feature_files import save
+from ovibjax.features.frames import make_feature_set
 
 
 def fn(key, point, shared):

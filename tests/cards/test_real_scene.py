@@ -11,7 +11,7 @@ from PIL import Image
 from ovibjax.cards.loading import load_pair
 from ovibjax.cards.reproduce import reproduce
 from ovibjax.errors import InputError
-from ovibjax.features.frames import save
+from ovibjax.features.feature_files import save
 from tests.edge.test_indoor import some
 
 

@@ -15,7 +15,8 @@ from PIL import Image
 
 from ovibjax.cards.catalog import card_names, cards_folder, load_card
 from ovibjax.cli.main import main
-from ovibjax.features.frames import make_feature_set, save
+from ovibjax.features.feature_files import save
+from ovibjax.features.frames import make_feature_set
 
 TABLE_COLUMNS = ["method", "k", "seed", "payload_bytes", "mean_m", "p90_m", "eta"]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ovibjax.features.backbones.by_name import open_backbone
-from ovibjax.features.frames import load
+from ovibjax.features.feature_files import load
 from ovibjax.features.images.decoding import decode_image
 from tests.features.images.made_images import pack, write, write_layout, write_table
 

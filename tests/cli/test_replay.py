@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from ovibjax.cli.main import main
-from ovibjax.features.frames import make_feature_set, save
+from ovibjax.features.feature_files import save
+from ovibjax.features.frames import make_feature_set
 
 
 def ovibjax(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -12,15 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ovibjax.errors import InputError
-from ovibjax.features import feature_files
+from ovibjax.features import npz
+from ovibjax.features.feature_files import load, save
 from ovibjax.features.frames import (
     CONTEXTS,
     FeatureSet,
     content_hash,
-    load,
     make_feature_set,
     require_frames,
-    save,
     split_indices,
     validate,
 )
@@ -190,7 +189,7 @@ def test_round_trip_is_exact(tmp_path, views, dim):
 
 
 def test_large_members_are_read_in_chunks(tmp_path, monkeypatch):
-    monkeypatch.setattr(feature_files, "_CHUNK_BYTES", 1000)
+    monkeypatch.setattr(npz, "_CHUNK_BYTES", 1000)
     fs = example(40, 5, 64)
     np.savez_compressed(tmp_path / "a.npz", **fs._asdict())
     assert_same(load(str(tmp_path / "a.npz")), fs)
@@ -224,14 +223,14 @@ def test_interrupted_save_leaves_the_old_file(tmp_path, monkeypatch, point, caus
     path = tmp_path / "a.npz"
     save(path, example(6))
     calls = itertools.count()
-    real = feature_files.npy.write_array
+    real = npz.npy.write_array
 
     def fail(*args, **kwargs):
         if point == "write_array" and next(calls) < 2:
             return real(*args, **kwargs)
         raise cause("stopped")
 
-    target = {"write_array": feature_files.npy, "fsync": os, "replace": Path}[point]
+    target = {"write_array": npz.npy, "fsync": os, "replace": Path}[point]
     with monkeypatch.context() as patch:
         patch.setattr(target, point, fail)
         with pytest.raises(InputError if cause is OSError else KeyboardInterrupt) as error:
@@ -395,8 +394,8 @@ def test_lying_directories_are_refused(tmp_path, offset, value, word):
 
 def test_archives_beyond_the_cap_are_refused(tmp_path, monkeypatch):
     save(tmp_path / "big.npz", example())
-    assert feature_files.MAX_TOTAL_BYTES == 16 * 2**30
-    monkeypatch.setattr(feature_files, "MAX_TOTAL_BYTES", 1000)
+    assert npz.MAX_TOTAL_BYTES == 16 * 2**30
+    monkeypatch.setattr(npz, "MAX_TOTAL_BYTES", 1000)
     with pytest.raises(InputError) as error:
         load(tmp_path / "big.npz")
     assert_refused(error, "big.npz", "too large", "1000")

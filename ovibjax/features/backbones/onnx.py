@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ovibjax.errors import InputError
+from ovibjax.errors import InputError, refusal
 from ovibjax.features.backbones.image_encoder import (
     CLIP_MEAN,
     CLIP_SIZE_PX,
@@ -27,7 +27,6 @@ from ovibjax.features.backbones.image_encoder import (
     padded_batches,
     resize_and_crop,
 )
-from ovibjax.features.feature_files import refusal
 
 SIDE_KEYS = ("size", "layout", "mean", "std", "output")
 _MAX_SIDE_BYTES = 64 * 1024

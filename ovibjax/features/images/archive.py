@@ -6,10 +6,9 @@ import tarfile
 from collections.abc import Callable, Iterable
 from pathlib import Path, PureWindowsPath
 
-from ovibjax.errors import InputError
-from ovibjax.features.feature_files import refusal
-from ovibjax.features.images.folder import OnStep
+from ovibjax.errors import InputError, refusal
 from ovibjax.features.images.gzip_access import GzipReader
+from ovibjax.features.images.source import OnStep
 
 _MAX_HEADER_BYTES = 2**20  # long names and extended headers; tarfile would take whatever a header claims
 _STEP_MEMBERS = 1000

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import ovibjax
-from ovibjax.errors import InputError
+from ovibjax.errors import InputError, StrPath, refusal
 from ovibjax.features.backbones.by_name import Backbone
-from ovibjax.features.feature_files import StrPath, refusal
-from ovibjax.features.frames import FeatureSet, make_feature_set, save
+from ovibjax.features.feature_files import save
+from ovibjax.features.frames import FeatureSet, make_feature_set
 from ovibjax.features.images.decoding import decode_image
-from ovibjax.features.images.folder import MAX_IMAGE_BYTES, Frame, Skipped, Source, describe_skipped, nothing_left
 from ovibjax.features.images.journal import Journal
+from ovibjax.features.images.source import MAX_IMAGE_BYTES, Frame, Skipped, Source, describe_skipped, nothing_left
 from ovibjax.runtime.cache import source_code
 from ovibjax.runtime.threads import in_order
 

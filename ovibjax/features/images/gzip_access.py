@@ -6,7 +6,7 @@ import zlib
 from collections import OrderedDict
 from typing import Any, NamedTuple
 
-from ovibjax.features.feature_files import StrPath, refusal
+from ovibjax.errors import StrPath, refusal
 
 _CHUNK_BYTES = 256 * 2**10
 _BLOCK_BYTES = 4 * 2**20

@@ -17,9 +17,8 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ovibjax.errors import InputError
-from ovibjax.features.feature_files import refusal
-from ovibjax.features.images.folder import Skipped
+from ovibjax.errors import InputError, refusal
+from ovibjax.features.images.source import Skipped
 
 _CONFIG, _INDEX, _BLOCKS, _LOCK = "config.json", "index.jsonl", "blocks.f32", "lock"
 

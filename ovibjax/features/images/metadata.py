@@ -5,10 +5,9 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from ovibjax.errors import InputError
-from ovibjax.features.feature_files import refusal
+from ovibjax.errors import InputError, refusal
 from ovibjax.features.frames import CONTEXTS
-from ovibjax.features.images.folder import MAX_MAGNITUDE, MAX_TEXT_BYTES, Files
+from ovibjax.features.images.source import MAX_MAGNITUDE, MAX_TEXT_BYTES, Files
 
 
 class Pose(NamedTuple):

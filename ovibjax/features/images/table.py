@@ -8,10 +8,10 @@ import string
 from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 
-from ovibjax.errors import InputError
-from ovibjax.features.feature_files import refusal
+from ovibjax.errors import InputError, refusal
 from ovibjax.features.frames import CONTEXTS, MAX_ID_CHARS
-from ovibjax.features.images.folder import MAX_MAGNITUDE, FolderFiles, Frame, Skipped, Source, nothing_left
+from ovibjax.features.images.folder import FolderFiles
+from ovibjax.features.images.source import MAX_MAGNITUDE, Frame, Skipped, Source, nothing_left
 from ovibjax.views import VIEWS
 
 REQUIRED = ("frame", "x_m", "y_m", "z_m", "yaw_deg")

@@ -12,7 +12,8 @@ import numpy as np
 
 from ovibjax.errors import InputError
 from ovibjax.features.backbones.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed, embedded_backbone
-from ovibjax.features.frames import FeatureSet, load, make_feature_set, save
+from ovibjax.features.feature_files import load, save
+from ovibjax.features.frames import FeatureSet, make_feature_set
 from ovibjax.runtime.cache import cache_folder, made_folder, source_code
 from ovibjax.runtime.threads import in_threads
 from ovibjax.world.rooms.drive import Drive, query_drive, reference_drive

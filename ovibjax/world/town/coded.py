@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ovibjax.errors import InputError
 from ovibjax.features.backbones.by_name import Backbone, open_backbone
-from ovibjax.features.feature_files import read_npz, write_npz
 from ovibjax.features.images.codecs import CLIPS, decode, encode, video_missing
+from ovibjax.features.npz import read_npz, write_npz
 from ovibjax.runtime.cache import cache_folder, made_folder, source_code
 from ovibjax.runtime.threads import in_threads
 from ovibjax.world.town.feature_set import SOURCES, OnFrames

@@ -16,7 +16,8 @@ from ovibjax.features.backbones.pyramid import (
     embed,
     embedded_backbone,
 )
-from ovibjax.features.frames import FeatureSet, load, make_feature_set, save
+from ovibjax.features.feature_files import load, save
+from ovibjax.features.frames import FeatureSet, make_feature_set
 from ovibjax.runtime.cache import cache_folder, made_folder, source_code
 from ovibjax.runtime.threads import in_threads
 from ovibjax.world.town.layout import Town, TownConfig, make_town

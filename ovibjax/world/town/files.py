@@ -18,8 +18,8 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 from PIL import Image
 
-from ovibjax.features.feature_files import OnFrame, StrPath, refusal
-from ovibjax.features.frames import CONTEXTS
+from ovibjax.errors import StrPath, refusal
+from ovibjax.features.frames import CONTEXTS, OnFrames
 from ovibjax.views import VIEWS
 from ovibjax.world.town.feature_set import PAPER_FRAMES
 from ovibjax.world.town.layout import Route, Town, TownConfig, make_town
@@ -112,7 +112,7 @@ def _write_calibration(path: Path, calibration: dict[str, Any]) -> None:
 
 
 def write_frames(
-    town_config: TownConfig, out: StrPath, n_frames: int, seed: int, on_frame: OnFrame | None = None
+    town_config: TownConfig, out: StrPath, n_frames: int, seed: int, on_frame: OnFrames | None = None
 ) -> int:
     """Write a drive through the town in the folder layout of the released data set.
 

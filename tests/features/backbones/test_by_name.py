@@ -12,7 +12,7 @@ from ovibjax.errors import InputError
 from ovibjax.features.backbones.by_name import BackboneOptions, open_backbone
 from ovibjax.features.backbones.image_encoder import CLIP_MEAN, CLIP_STD, resize_and_crop
 from ovibjax.features.backbones.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed
-from tests.features import onnx_bytes
+from tests.features.backbones import onnx_bytes
 
 RNG = np.random.default_rng(7)
 WEIGHT = RNG.normal(size=(3, 20)).astype(np.float32)

@@ -19,9 +19,9 @@ from ovibjax.errors import InputError
 from ovibjax.features.backbones.by_name import open_backbone
 from ovibjax.features.backbones.pyramid import embed as pyramid
 from ovibjax.features.backbones.pyramid import embedded_backbone
-from ovibjax.features.frames import load
+from ovibjax.features.feature_files import load
+from ovibjax.features.images.by_path import open_source
 from ovibjax.features.images.extraction import extract
-from ovibjax.features.images.sources import open_source
 from ovibjax.runtime.threads import in_order
 from tests.features.images.made_images import (
     embed,

@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 from ovibjax.errors import InputError
+from ovibjax.features.images.by_path import open_source
 from ovibjax.features.images.decoding import decode_image
 from ovibjax.features.images.extraction import extract
 from ovibjax.features.images.gzip_access import GzipReader
-from ovibjax.features.images.sources import open_source
 from ovibjax.views import VIEWS
 from ovibjax.world.town import files as town_files
 from ovibjax.world.town.layout import TownConfig, make_town

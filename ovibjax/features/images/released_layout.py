@@ -1,4 +1,4 @@
-"""The released data set: images, poses and scenes of a town, from its folder or its archive; other data as CSV.
+"""The layout of the released data set: images, poses and scenes of towns, in a folder or an archive.
 
 A town is `rgb/<Camera>/<frame>.png` (or .jpg, .jpeg), `metadata/<frame>.json` and, optionally,
 `calibration/camera_calibration.json`; `depth` and `semantic` may be there and are not read. Several towns side by side
@@ -12,26 +12,15 @@ yaw is measured from x towards y, so that (cos yaw, sin yaw) is the heading and 
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ovibjax.errors import InputError
-from ovibjax.features.feature_files import StrPath, refusal
+from ovibjax.errors import refusal
 from ovibjax.features.frames import MAX_ID_CHARS
-from ovibjax.features.images.archive import TarFiles
-from ovibjax.features.images.folder import (
-    IMAGE_SUFFIXES,
-    Files,
-    FolderFiles,
-    Frame,
-    OnStep,
-    Skipped,
-    Source,
-    list_folder,
-    nothing_left,
-)
+from ovibjax.features.images.folder import FolderFiles, list_folder
 from ovibjax.features.images.metadata import Pose, read_axes, read_pose
-from ovibjax.features.images.table import read_table
+from ovibjax.features.images.source import Files, Frame, OnStep, Skipped, Source, nothing_left
 from ovibjax.views import VIEWS
 
 _EXPECTED = "rgb/<Camera>/<frame>.png (or .jpg) and metadata/<frame>.json"
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _CALIBRATION = ("calibration", "camera_calibration.json")
 _STEP_FRAMES = 200
 
@@ -45,51 +34,40 @@ class _Town:
     calibration: str | None = None
 
 
-def open_source(
-    path: StrPath, images: str | None = None, n_views: int | None = None, on_step: OnStep | None = None
-) -> Source:
-    """Find frames, poses and images.
+def read_towns(files: Files, n_views: int | None, on_step: OnStep | None) -> Source:
+    """Frames of the towns among some files.
 
     Args:
-        path: a town's folder (or one that holds towns), its `.tar` or `.tar.gz`, or a `.csv` table of poses.
-        images: for a table, where images lie, e.g. `images/{view}/{frame}.jpg`, relative to the table.
-        n_views: 5 (UAV) or 4 (UGV: Front Back Left Right); by default 5 where there are images of Down.
+        files: of a folder or an archive.
+        n_views: 5 (UAV) or 4 (UGV); by default 5 where there are images of Down.
         on_step: progress.
 
     Returns:
-        The source, with at least one frame; frames without all views or a finite pose are in `skipped`.
+        The source, with at least one frame.
 
     Raises:
-        InputError: no such source, not one of the three kinds, a camera is missing altogether, or no frame is left.
+        InputError: no town, a camera is missing altogether, a name is unusable, or no frame is left.
     """
-    path = Path(path)
-    if n_views not in (None, 4, 5):
-        raise InputError(f"--views {n_views}: a platform has 5 views (UAV) or 4 (UGV: Front Back Left Right)")
-    try:
-        kind = "folder" if path.is_dir() else "file" if path.is_file() else ""
-    except (OSError, ValueError) as error:
-        raise refusal(path, f"unreadable path ({error})") from error
-    if not kind:
-        raise refusal(path, "no such file or folder")
-    if kind == "file" and path.suffix.lower() == ".csv":
-        return read_table(path, images, n_views)
-    if images is not None:
-        raise refusal(path, "--images belongs to a .csv table; folders and archives have their own layout")
-    files: Files
-    if kind == "folder":
-        files = _folder(path)
-    elif path.name.lower().endswith((".tar", ".tar.gz", ".tgz")):
-        files = TarFiles(path, lambda name: _role(name) is not None, on_step)
-    else:
-        raise refusal(path, "is no folder, .tar, .tar.gz or .csv file")
-    try:
-        return _read_layout(files, n_views, on_step)
-    except BaseException:
-        files.close()
-        raise
+    towns = _towns(files)
+    n_views = n_views or (5 if any("Down" in town.images for town in towns.values()) else 4)
+    axes, frames, skipped = set(), list[Frame](), list[Skipped]()
+    for place, town in towns.items():
+        missing = [view for view in VIEWS[:n_views] if view not in town.images]
+        where = f"{files.path}/{place}" if place else str(files.path)
+        if missing:
+            has = ", ".join(sorted(town.images)[:8])
+            raise refusal(where, f"no images of {', '.join(missing)}; {n_views} views are needed, rgb/ has {has}")
+        if not town.metadata:
+            raise refusal(where, f"no poses; expected {_EXPECTED}")
+        axes.add(read_axes(files, town.calibration))
+        prefix = f"{place}/" if len(towns) > 1 else ""
+        _read_town(files, town, prefix, n_views, frames, skipped, on_step)
+    if not frames:
+        raise nothing_left(str(files.path), skipped)
+    return Source(files, tuple(frames), tuple(skipped), " and ".join(sorted(axes)))
 
 
-def _folder(root: Path) -> FolderFiles:
+def files_of_towns(root: Path) -> FolderFiles:
     """Files of the towns in a folder, or in the folders just below it."""
     try:
         towns = [""] if (root / "rgb").is_dir() else sorted(p.name + "/" for p in root.iterdir() if p.is_dir())
@@ -104,25 +82,25 @@ def _folder(root: Path) -> FolderFiles:
     return FolderFiles(root, list_folder(root, folders))
 
 
-def _role(name: str) -> tuple[str, str, str, str] | None:
+def role_of(name: str) -> tuple[str, str, str, str] | None:
     """Town, kind, camera and frame of a file of the layout; None for any other."""
     folder, _, file = name.rpartition("/")
     parts = folder.split("/")
     stem, dot, suffix = file.rpartition(".")
     if file.startswith(".") or not stem:
         return None
-    if parts[-2:-1] == ["rgb"] and dot + suffix.lower() in IMAGE_SUFFIXES:
+    if parts[-2:-1] == ["rgb"] and dot + suffix.lower() in _IMAGE_SUFFIXES:
         return "/".join(parts[:-2]), "rgb", parts[-1], stem
     if parts[-1] == "metadata" and suffix == "json":
         return "/".join(parts[:-1]), "metadata", "", stem
     return ("/".join(parts[:-1]), "calibration", "", stem) if (parts[-1], file) == _CALIBRATION else None
 
 
-def _sort(files: Files) -> dict[str, _Town]:
+def _towns(files: Files) -> dict[str, _Town]:
     """The files by town, camera and frame; folders without images of any camera are no towns."""
     towns: dict[str, _Town] = {}
     for name in files.sizes_bytes:
-        role = _role(name)
+        role = role_of(name)
         if role is None:
             continue
         place, kind, camera, stem = role
@@ -140,26 +118,6 @@ def _sort(files: Files) -> dict[str, _Town]:
     if not towns:
         raise refusal(files.path, f"holds no data set; expected {_EXPECTED}")
     return towns
-
-
-def _read_layout(files: Files, n_views: int | None, on_step: OnStep | None) -> Source:
-    towns = _sort(files)
-    n_views = n_views or (5 if any("Down" in town.images for town in towns.values()) else 4)
-    axes, frames, skipped = set(), list[Frame](), list[Skipped]()
-    for place, town in towns.items():
-        missing = [view for view in VIEWS[:n_views] if view not in town.images]
-        where = f"{files.path}/{place}" if place else str(files.path)
-        if missing:
-            has = ", ".join(sorted(town.images)[:8])
-            raise refusal(where, f"no images of {', '.join(missing)}; {n_views} views are needed, rgb/ has {has}")
-        if not town.metadata:
-            raise refusal(where, f"no poses; expected {_EXPECTED}")
-        axes.add(read_axes(files, town.calibration))
-        prefix = f"{place}/" if len(towns) > 1 else ""
-        _read_town(files, town, prefix, n_views, frames, skipped, on_step)
-    if not frames:
-        raise nothing_left(str(files.path), skipped)
-    return Source(files, tuple(frames), tuple(skipped), " and ".join(sorted(axes)))
 
 
 def _in_order(names: set[str]) -> list[str]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ovibjax.features.describe import describe
+from ovibjax.features.description import describe
 from ovibjax.features.frames import Split, make_feature_set
 
 

@@ -1,0 +1,53 @@
+"""Sources of images by path: a folder or an archive in the released layout, or a CSV table of somebody's own images."""
+
+from pathlib import Path
+
+from ovibjax.errors import InputError, StrPath, refusal
+from ovibjax.features.images.archive import TarFiles
+from ovibjax.features.images.released_layout import files_of_towns, read_towns, role_of
+from ovibjax.features.images.source import Files, OnStep, Source
+from ovibjax.features.images.table import read_table
+
+
+def open_source(
+    path: StrPath, images: str | None = None, n_views: int | None = None, on_step: OnStep | None = None
+) -> Source:
+    """Find frames, poses and images.
+
+    Args:
+        path: a town's folder (or one that holds towns), its `.tar` or `.tar.gz`, or a `.csv` table of poses.
+        images: for a table, where images lie, e.g. `images/{view}/{frame}.jpg`, relative to the table.
+        n_views: 5 (UAV) or 4 (UGV: Front Back Left Right); by default 5 where there are images of Down.
+        on_step: progress.
+
+    Returns:
+        The source, with at least one frame; frames without all views or a finite pose are in `skipped`.
+
+    Raises:
+        InputError: no such source, not one of the three kinds, a camera is missing altogether, or no frame is left.
+    """
+    path = Path(path)
+    if n_views not in (None, 4, 5):
+        raise InputError(f"--views {n_views}: a platform has 5 views (UAV) or 4 (UGV: Front Back Left Right)")
+    try:
+        kind = "folder" if path.is_dir() else "file" if path.is_file() else ""
+    except (OSError, ValueError) as error:
+        raise refusal(path, f"unreadable path ({error})") from error
+    if not kind:
+        raise refusal(path, "no such file or folder")
+    if kind == "file" and path.suffix.lower() == ".csv":
+        return read_table(path, images, n_views)
+    if images is not None:
+        raise refusal(path, "--images belongs to a .csv table; folders and archives have their own layout")
+    files: Files
+    if kind == "folder":
+        files = files_of_towns(path)
+    elif path.name.lower().endswith((".tar", ".tar.gz", ".tgz")):
+        files = TarFiles(path, lambda name: role_of(name) is not None, on_step)
+    else:
+        raise refusal(path, "is no folder, .tar, .tar.gz or .csv file")
+    try:
+        return read_towns(files, n_views, on_step)
+    except BaseException:
+        files.close()
+        raise
