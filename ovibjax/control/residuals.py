@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
-from ovibjax.edge.leave_one_out import leave_one_out
+from ovibjax.edge.retrieval import leave_one_out
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import Architecture, Params, decode, encode
 from ovibjax.encoder.train import TrainConfig, TrainData, fit

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ovibjax.cards.synthetic_database import SCENE_FRAMES, recombine
 from ovibjax.edge import index as index_module
-from ovibjax.edge import retrieval
+from ovibjax.edge import retrieval, tile_search
 from ovibjax.edge.pruning import Asked, judge_pruning
 from ovibjax.edge.retrieval import build_index, coarse_to_fine, search
 from ovibjax.errors import InputError
@@ -57,7 +57,7 @@ def test_with_everything_kept_it_is_brute_force(case):
 @pytest.mark.parametrize("tiles", [5, EVERY])
 def test_the_sketch_changes_no_answer(monkeypatch, rank, tiles):
     """With a bound that never rules anything out every kept descriptor is read."""
-    monkeypatch.setattr(retrieval, "_TILES_AT_ONCE", 7)
+    monkeypatch.setattr(tile_search, "_TILES_AT_ONCE", 7)
     rng = np.random.default_rng(rank)
     db, position, scene = clustered(rank, d=90)
     db = (db @ np.linalg.qr(rng.normal(size=(90, rank)))[0] @ rng.normal(size=(rank, 90))).astype(np.float32)
@@ -108,7 +108,7 @@ def test_reading_only_the_tiles_of_kept_scenes_equals_the_product_over_all(monke
     rows, kept_scenes, _ = oracle.coarse_to_fine(query, db, np.asarray(index.row_tile), scene, 2, 6)
     np.testing.assert_array_equal(ours.row, rows)
     np.testing.assert_array_equal(ours.scenes, kept_scenes)
-    monkeypatch.setattr(retrieval, "_DENSE", EVERY)
+    monkeypatch.setattr(tile_search, "_DENSE", EVERY)
     jax.clear_caches()
     for one, other in zip(ours, search(query, index, 2, 6), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -166,7 +166,7 @@ def test_any_number_of_queries_compiles_few_programs(case):
     np.testing.assert_array_equal(expected, np.tile(expected[:64], 10))
     for q in (1, 33, 50, 63, 64, 513, 577, 600):
         np.testing.assert_array_equal(coarse_to_fine(queries[:q], index), expected[:q])
-    assert retrieval._search._cache_size() == 3  # room for 1, 64 and 1,024 queries
+    assert tile_search._search._cache_size() == 3  # room for 1, 64 and 1,024 queries
 
 
 def test_other_databases_of_a_size_run_in_the_same_program():
@@ -174,7 +174,7 @@ def test_other_databases_of_a_size_run_in_the_same_program():
     for seed in range(3):
         db, position, scene = clustered(seed)
         coarse_to_fine(db[:10], build_index(db, position * (1 + 0.02 * seed), scene, 3.0))
-    assert retrieval._search._cache_size() == 1
+    assert tile_search._search._cache_size() == 1
 
 
 @pytest.fixture(scope="module")

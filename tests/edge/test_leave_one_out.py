@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from ovibjax.edge import leave_one_out as module
+from ovibjax.edge import retrieval as module
 from tests.oracles import control as oracle
 
 leave_one_out = jax.jit(module.leave_one_out)
@@ -46,9 +46,9 @@ def test_a_null_descriptor_and_a_null_reference():
 
 def test_blocks_do_not_show():
     reference = rows(31, 5, 3)
-    query = rows(2 * module._BLOCK + 3, 5, 4)
+    query = rows(2 * module._OWN_BLOCK + 3, 5, 4)
     own = np.random.default_rng(5).integers(-1, 31, len(query)).astype(np.int32)
     whole = np.asarray(leave_one_out(query, reference, own))
-    some = [0, module._BLOCK - 1, module._BLOCK, len(query) - 1]
+    some = [0, module._OWN_BLOCK - 1, module._OWN_BLOCK, len(query) - 1]
     np.testing.assert_array_equal(whole[some], oracle.most_similar_other(query[some], reference, own[some]))
     assert np.all(whole != own)
