@@ -65,7 +65,8 @@ class Replay:
         from ovibjax.control.policies import make_controller
         from ovibjax.control.route_replay import Params, replay, summarize
         from ovibjax.control.scene import make_scene
-        from ovibjax.link.traces import read_trace, resample
+        from ovibjax.link.trace_files import read_trace
+        from ovibjax.link.traces import resample
 
         measured = read_trace(self.trace) if self.trace is not None else None
         own = own_frames(self.data)

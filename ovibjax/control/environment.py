@@ -14,8 +14,9 @@ from ovibjax.control import belief
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.belief import Belief
 from ovibjax.edge.service import EDGE, ServiceProfile, draw_ms, estimate_ms
-from ovibjax.link.channel import fading_power, profile_rate_bps
+from ovibjax.link.channel import fading_power
 from ovibjax.link.latency import JETSON, compute_ms_at
+from ovibjax.link.profiles import profile_rate_bps
 
 SLOT_S = 0.5
 """Length of a slot of request replay."""

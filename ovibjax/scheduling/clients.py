@@ -13,9 +13,10 @@ import jax.numpy as jnp
 
 from ovibjax.control.environment import PAPER_SLOTS, PAPER_UPLOAD_SHARE, SLOT_S
 from ovibjax.edge.service import EDGE, ServiceProfile, draw_ms, estimate_ms
-from ovibjax.link.channel import fading_power, profile_rate_bps
+from ovibjax.link.channel import fading_power
 from ovibjax.link.latency import transmit_s
 from ovibjax.link.payload import request_bytes
+from ovibjax.link.profiles import profile_rate_bps
 from ovibjax.scheduling.requests import RequestTrace
 from ovibjax.scheduling.rules import SchedulerParams, scheduling_value
 from ovibjax.views import MODES
