@@ -16,6 +16,7 @@ from ovibjax.features.description import Description, describe
 from ovibjax.features.frames import CONTEXTS, FeatureSet, split_indices
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, REPORTED, Claim, write_claims
+from ovibjax.report.panels import sheet
 from ovibjax.report.rows import write_rows
 from ovibjax.views import VIEWS
 from ovibjax.world.town.files import CONTEXT_COLOURS, render_frames
@@ -119,21 +120,19 @@ def caption(whole: Description, scenes: list[int], setting: str, embedded: bool)
 
 def draw(path: Path, data: FeatureSet, scenes: list[int], embedded: bool) -> None:
     """A plan per scene; for the embedded town also its views."""
-    with mpl.rc_context(fig.style()):
-        if embedded:
-            figure = _draw_town(data)
-        else:
-            shown = scenes[:MAX_PICTURES]
-            columns = min(len(shown), 4)
-            figure, axes = fig.panels(columns, -(-len(shown) // columns), height_in=2.3 if columns > 1 else 3.5)
-            for ax, scene in zip(axes, shown, strict=False):
-                of_scene = data.scene_id == scene
-                _draw_plan(ax, data, of_scene, f"scene {scene}: {int(of_scene.sum())} frames")
-            for ax in axes[len(shown) :]:
-                ax.set_axis_off()
-            present = np.unique(data.context % len(NAMES))
-            figure.legend(handles=_handles(present), loc="outside lower center", ncols=len(NAMES))
-        fig.save_figure(figure, path)
+    if embedded:
+        _draw_town(path, data)
+        return
+    shown = scenes[:MAX_PICTURES]
+    columns = min(len(shown), 4)
+    with sheet(path, columns, -(-len(shown) // columns), height_in=2.3 if columns > 1 else 3.5) as axes:
+        for ax, scene in zip(axes, shown, strict=False):
+            of_scene = data.scene_id == scene
+            _draw_plan(ax, data, of_scene, f"scene {scene}: {int(of_scene.sum())} frames")
+        for ax in axes[len(shown) :]:
+            ax.set_axis_off()
+        handles = _handles(np.unique(data.context % len(NAMES)))
+        axes[0].figure.legend(handles=handles, loc="outside lower center", ncols=len(NAMES))
 
 
 def _draw_plan(ax: Axes, data: FeatureSet, rows: np.ndarray, title: str) -> None:
@@ -148,29 +147,28 @@ def _handles(codes: np.ndarray) -> list[Line2D]:
     return [Line2D([], [], ls="", marker="o", ms=4, color=COLOURS[code], label=NAMES[code]) for code in codes.tolist()]
 
 
-def _draw_town(data: FeatureSet) -> Figure:
+def _draw_town(path: Path, data: FeatureSet) -> None:
     """The drive over the town's ground plan, and the five views half-way through its longest open stretch."""
-    config = TownConfig()
-    town = make_town(config)
+    town = make_town(TownConfig())
     frame = _middle_of_longest(data.context)
-    route = Route(data.positions_m, data.yaw_rad)
-    ((_, views),) = render_frames(town, route, np.array([frame]))
-    figure = Figure(figsize=(fig.PAGE_IN, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, len(VIEWS), height_ratios=(3.4, 1))
-    ax = figure.add_subplot(grid[0, :])
-    for x0, y0, x1, y1 in town.boxes[:, [0, 1, 3, 4]].tolist():
-        ax.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color="#D9D9D9", lw=0)
-    _draw_plan(ax, data, np.ones(len(data.context), bool), f"embedded town: {len(data.context)} frames")
-    here = data.positions_m[frame]
-    ax.plot(here[0], here[1], "o", ms=9, mfc="none", mec="black", mew=1.4)
-    ax.legend(handles=_handles(np.unique(data.context % len(NAMES))), loc="center left", bbox_to_anchor=(1.0, 0.5))
-    ax.grid(visible=False)
-    for column, name in enumerate(VIEWS):
-        picture = figure.add_subplot(grid[1, column], xticks=[], yticks=[])
-        picture.imshow(np.asarray(views.rgb)[column])
-        picture.set_title(name)
-    return figure
+    ((_, views),) = render_frames(town, Route(data.positions_m, data.yaw_rad), np.array([frame]))
+    with mpl.rc_context(fig.style()):
+        figure = Figure(figsize=(fig.PAGE_IN, 5.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        grid = figure.add_gridspec(2, len(VIEWS), height_ratios=(3.4, 1))
+        ax = figure.add_subplot(grid[0, :])
+        for x0, y0, x1, y1 in town.boxes[:, [0, 1, 3, 4]].tolist():
+            ax.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color="#D9D9D9", lw=0)
+        _draw_plan(ax, data, np.ones(len(data.context), bool), f"embedded town: {len(data.context)} frames")
+        here = data.positions_m[frame]
+        ax.plot(here[0], here[1], "o", ms=9, mfc="none", mec="black", mew=1.4)
+        ax.legend(handles=_handles(np.unique(data.context % len(NAMES))), loc="center left", bbox_to_anchor=(1.0, 0.5))
+        ax.grid(visible=False)
+        for column, name in enumerate(VIEWS):
+            picture = figure.add_subplot(grid[1, column], xticks=[], yticks=[])
+            picture.imshow(np.asarray(views.rgb)[column])
+            picture.set_title(name)
+        fig.save_figure(figure, path)
 
 
 def _middle_of_longest(context: np.ndarray) -> int:

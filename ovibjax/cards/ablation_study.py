@@ -1,6 +1,5 @@
 """The encoder ablation as data: variants and seeds trained in one sweep, coordinate orderings judged in another."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray
 
+from ovibjax.cards.job import Sweep
 from ovibjax.edge.judging import judge_prefixes
 from ovibjax.edge.member import DIMS, ORDERINGS, UNITS, JudgeOrdering, TrainAndJudge, Trained
 from ovibjax.encoder.data_split import MemberData
@@ -21,9 +21,6 @@ from ovibjax.views import full_mode, mode_mask
 
 BETA, GAMMA = 1e-3, 0.1
 """Weights of the full model, the paper's."""
-
-Sweep = Callable[..., xarray.Dataset]
-"""`sweep(description, fn, axes, shared, **options)`, as `sweep.run` with somebody's progress bar and store."""
 
 
 @dataclass(frozen=True)

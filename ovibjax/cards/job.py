@@ -22,6 +22,9 @@ from ovibjax.sweep.layout import digest
 from ovibjax.sweep.store import attach
 
 PRESETS = ("smoke", "quick", "full")
+Sweep = Callable[..., xarray.Dataset]
+"""`sweep(description, fn, axes, shared, **options)`, as `Job.sweep`."""
+
 _KEPT_S = 7 * 24 * 3600.0
 
 

@@ -7,6 +7,7 @@ is left to say is the statement, the numbers and their text.
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Self
 
@@ -155,6 +156,25 @@ class Claim:
     def within(cls, statement: str, paper: str, ours: str, tolerance: float, difference: Seeds, *, rule: str) -> Self:
         """A difference on paired seeds is no larger than a tolerance, either way; held if its whole interval is not."""
         return cls(statement, paper, ours, near_zero(interval(difference), tolerance), rule)
+
+    @classmethod
+    def rising(cls, statement: str, paper: str, ours: str, *values: Seeds, rule: str) -> Self:
+        """A quantity does not fall from any setting to the next, and is larger at the last than at the first.
+
+        Args:
+            statement: what is claimed.
+            paper: the paper's figure.
+            ours: our figure.
+            values: [S] the quantity at each setting, in order, on the same seeds.
+            rule: how the rule is worded.
+
+        Returns:
+            The claim; held if every paired interval says so, held on average if the means of the steps do.
+        """
+        at = [np.asarray(value) for value in values]
+        steps = [above(interval(after - before), 0.0) for before, after in pairwise(at)]
+        end = _judged([interval(at[-1] - at[0])], positive, strict=True)
+        return cls(statement, paper, ours, weakest([*steps, end]), rule)
 
     @classmethod
     def true(cls, statement: str, paper: str, ours: str, condition: bool, rule: str) -> Self:

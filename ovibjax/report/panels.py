@@ -40,7 +40,7 @@ class Bar:
 
     Attributes:
         label: beside the axis.
-        value: mean and interval.
+        value: mean and interval; without a width no cap is drawn.
         colour: of the bar.
         paper: the paper's value, a black tick.
         text: what stands at the bar; nothing if empty.
@@ -64,7 +64,7 @@ def bars(ax: Axes, rows: Sequence[Bar], inside: bool = False, height: float = 0.
     """
     for row, bar in enumerate(rows):
         value = bar.value
-        ax.barh(row, value.mean, xerr=value.cap, height=height, color=bar.colour, error_kw=_CAPS)
+        ax.barh(row, value.mean, xerr=value.cap or None, height=height, color=bar.colour, error_kw=_CAPS)
         if bar.paper is not None:
             paper_tick(ax, bar.paper, row, 18.0 * height)
         if bar.text and inside:

@@ -106,3 +106,12 @@ def test_facts_and_reports() -> None:
     assert claim("true", True, "r") == HELD and claim("true", False, "r") == NOT_HELD
     assert claim("reported", "r") == REPORTED
     assert interval([1.0]).cap == 0.0 and interval(SEEDS).cap == interval(SEEDS).half
+
+
+def test_rising_looks_at_every_step_and_at_the_ends() -> None:
+    level, unsure = np.zeros(3), np.array([0.2, 0.1, -0.1])
+    assert claim("rising", level, level, SEEDS, rule="r") == HELD
+    assert claim("rising", level, unsure, SEEDS, rule="r") == ON_AVERAGE
+    assert claim("rising", level, -unsure, SEEDS, rule="r") == NOT_HELD, "a step down"
+    assert claim("rising", level, level, rule="r") == NOT_HELD, "no rise"
+    assert claim("rising", level, unsure, rule="r") == NOT_HELD, "a rise that seeds do not agree on"

@@ -30,6 +30,7 @@ def test_bars_stand_from_the_top_with_caps_ticks_and_texts(ax) -> None:
     assert [bar.get_width() for bar in ax.patches] == [2.0, 1.0]
     assert ax.yaxis_inverted() and [label.get_text() for label in ax.get_yticklabels()] == ["a", "b"]
     assert ax.texts[0].xy == (3.0, 0), "to the right of the paper's tick"
+    assert len(ax.collections) == 1, "no cap where there is no interval"
     assert ax.get_legend_handles_labels()[1] == ["paper"]
 
 
