@@ -3,23 +3,20 @@
 import time
 from pathlib import Path
 
-import jax
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.cards.control_drawing import COLOURS, NAMES, policy_rows, representative, study
+from ovibjax.cards.control_drawing import COLOURS, NAMES, PAPER_MEAN_M, PAPER_P95_M, draw_error
+from ovibjax.cards.control_results import policy_rows, representative, representative_replay, study
 from ovibjax.cards.control_study import ControlStudy
 from ovibjax.cards.job import Job
 from ovibjax.cards.timeline import draw_requests, legend, shade, time_s
-from ovibjax.control.policies import POLICIES
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import Claim, below, interval, positive, weakest, write_claims
+from ovibjax.report import panels
+from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
 
 TITLE = "Request-control dynamics under the 2.1 KB budget"
-PAPER = {"voi": (4.13, 6.71), "fixed_front": (5.64, 8.41), "random": (6.43, 13.43)}
-PAPER |= {"uncertainty": (4.21, 7.01), "budgeted_periodic": (5.49, 9.73)}
 
 
 def run(job: Job) -> None:
@@ -34,41 +31,43 @@ def run(job: Job) -> None:
 
 def judge_claims(found: ControlStudy) -> list[Claim]:
     """What the paper says of the dynamics."""
-    claims = []
-    for rival in ("fixed_front", "random"):
-        spans = [interval(found.of(rival, m) - found.of("voi", m)) for m in ("mean_m", "p95_m")]
-        ours = " / ".join(interval(found.of(rival, m)).text("m") for m in ("mean_m", "p95_m"))
-        claims.append(
-            Claim(
-                f"VOI-Control has a lower mean and p95 error than {NAMES[rival]} under the same budget",
-                f"{PAPER[rival][0]} / {PAPER[rival][1]} m against {PAPER['voi'][0]} / {PAPER['voi'][1]} m",
-                f"{NAMES[rival]} {ours}; differences {spans[0].text('m')} / {spans[1].text('m')}",
-                weakest(positive(span) for span in spans),
-                "whole 95 % intervals of both paired differences above zero",
-            )
-        )
     voi = found.runs["voi"]
     at_request = [float(voi.risk_before_m[i][voi.sent[i]].mean()) for i in range(len(found.seeds)) if voi.sent[i].any()]
     overall = [float(voi.risk_before_m[i].mean()) for i in range(len(found.seeds)) if voi.sent[i].any()]
-    growth = interval(np.array(at_request) - np.array(overall))
-    requests, kb = interval(found.of("voi", "requests")), interval(found.of("voi", "kb"))
-    claims += [
-        Claim(
+    growth = np.array(at_request) - np.array(overall)
+    requests, kb = found.of("voi", "requests"), found.of("voi", "kb")
+    return [
+        _lower(found, "fixed_front"),
+        _lower(found, "random"),
+        Claim.above_zero(
             "VOI-Control sends its requests when uncertainty has grown",
             "concentrates uploads around uncertainty growth",
-            f"local risk at a request minus its mean over all slots: {growth.text('m')}",
-            positive(growth),
-            "whole 95 % interval above zero",
+            f"local risk at a request minus its mean over all slots: {interval(growth).text('m')}",
+            growth,
+            rule="whole 95 % interval above zero",
         ),
-        Claim(
+        Claim.at_most(
             "VOI-Control stays within 2.1 KB per route",
             "22 requests, 2.07 KB",
-            f"{requests.text(digits=1)} requests, {kb.text('KB')}",
-            below(kb, 2.1),
-            "whole 95 % interval below 2.1 KB; no single replay may exceed it (see the prediction figure)",
+            f"{interval(requests).text(digits=1)} requests, {interval(kb).text('KB')}",
+            2.1,
+            kb,
+            rule="whole 95 % interval below 2.1 KB; no single replay may exceed it (see the prediction figure)",
         ),
     ]
-    return claims
+
+
+def _lower(found: ControlStudy, rival: str) -> Claim:
+    errors = [found.of(rival, metric) for metric in ("mean_m", "p95_m")]
+    differences = [found.of(rival, metric) - found.of("voi", metric) for metric in ("mean_m", "p95_m")]
+    ours, over = (" / ".join(interval(part).text("m") for part in parts) for parts in (errors, differences))
+    return Claim.above_zero(
+        f"VOI-Control has a lower mean and p95 error than {NAMES[rival]} under the same budget",
+        f"{PAPER_MEAN_M[rival]} / {PAPER_P95_M[rival]} m against {PAPER_MEAN_M['voi']} / {PAPER_P95_M['voi']} m",
+        f"{NAMES[rival]} {ours}; differences {over}",
+        *differences,
+        rule="whole 95 % intervals of both paired differences above zero",
+    )
 
 
 def caption(found: ControlStudy) -> str:
@@ -84,33 +83,15 @@ def caption(found: ControlStudy) -> str:
 
 def draw(path: Path, found: ControlStudy) -> None:
     """The four panels."""
-    with mpl.rc_context(fig.style()):
-        figure, axes = fig.panels(2, 2, height_in=2.2)
-        order = sorted(POLICIES, key=lambda policy: float(found.of(policy, "mean_m").mean()))
-        _draw_bars(axes[0], found, order, "mean_m", 0)
+    with panels.sheet(path, 2, 2, height_in=2.2) as axes:
+        draw_error(axes[0], found, "mean_m", PAPER_MEAN_M)
         fig.title(axes[0], "a", "mean error")
-        _draw_bars(axes[1], found, order, "p95_m", 1)
+        draw_error(axes[1], found, "p95_m", PAPER_P95_M)
         fig.title(axes[1], "b", "95th percentile")
         _draw_curve(axes[2], found)
+        fig.title(axes[2], "c", "one held-out route")
         _draw_requests(axes[3], found)
-        fig.save_figure(figure, path)
-
-
-def _draw_bars(ax: Axes, found: ControlStudy, order: list[str], metric: str, paper: int) -> None:
-    for row, policy in enumerate(order):
-        span = interval(found.of(policy, metric))
-        half = span.half if np.isfinite(span.half) else 0.0
-        ax.barh(row, span.mean, xerr=half, height=0.65, color=COLOURS[policy], error_kw={"lw": 1, "capsize": 2})
-        text_colour = "black" if policy == "periodic" else "white"
-        ax.text(0.02 * span.mean, row, f" {span.mean:.2f}", va="center", color=text_colour, fontsize=6.5, weight="bold")
-        if policy in PAPER:
-            ax.plot(PAPER[policy][paper], row, "|", ms=11, mew=1.6, color="black")
-    ax.plot([], [], "|", ms=8, mew=1.6, color="black", label="paper")
-    ax.set_yticks(range(len(order)), [NAMES[policy] for policy in order])
-    ax.set(xlabel="route error (m)")
-    ax.invert_yaxis()
-    ax.grid(visible=False, axis="y")
-    ax.legend(loc="upper right")
+        fig.title(axes[3], "d", "requests of VOI-Control")
 
 
 def _draw_curve(ax: Axes, found: ControlStudy) -> None:
@@ -123,13 +104,10 @@ def _draw_curve(ax: Axes, found: ControlStudy) -> None:
     ax.set(xlabel="time (s)", ylabel="route error (m)")
     ax.set_ylim(0, 1.45 * max(float(found.runs[policy].error_m[seed].max()) for policy in ("budgeted_periodic", "voi")))
     ax.legend(loc="upper right", frameon=True, framealpha=0.85, edgecolor="none")
-    fig.title(ax, "c", "one held-out route")
 
 
 def _draw_requests(ax: Axes, found: ControlStudy) -> None:
-    seed = representative(found)
-    draw_requests(ax, jax.tree.map(lambda field: field[seed], found.runs["voi"]), found.scene.actions)
-    shade(ax, found.routes.context[seed], found.scene.contexts)
+    draw_requests(ax, representative_replay(found), found.scene.actions)
+    shade(ax, found.routes.context[representative(found)], found.scene.contexts)
     legend(ax, found.scene.contexts)
     ax.set(xlabel="time (s)")
-    fig.title(ax, "d", "requests of VOI-Control")

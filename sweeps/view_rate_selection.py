@@ -4,15 +4,16 @@ import time
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.cards.control_drawing import MODE_COLOURS, study
+from ovibjax.cards.control_drawing import MODE_COLOURS
+from ovibjax.cards.control_results import PAIRED, study
 from ovibjax.cards.control_study import ControlStudy
 from ovibjax.cards.job import Job
 from ovibjax.report import figures as fig
-from ovibjax.report.claims import HELD, NOT_HELD, Claim, Interval, interval, positive, write_claims
+from ovibjax.report import panels
+from ovibjax.report.claims import Claim, Interval, interval, write_claims
 from ovibjax.report.rows import write_rows
 
 TITLE = "View-rate selection by context"
@@ -77,48 +78,48 @@ def table_rows(found: ControlStudy) -> list[dict[str, Any]]:
 
 def judge_claims(found: ControlStudy) -> list[Claim]:
     """What the paper says of modes and contexts."""
-    shares = [upload_percent(found, c) for c in range(len(PAPER_SHARE))]
-    both = np.isfinite(shares[0]) & np.isfinite(shares[1]) & np.isfinite(shares[2])
-    claims = []
-    for low, high in ((0, 1), (1, 2)):
-        a, b = found.scene.contexts[low], found.scene.contexts[high]
-        span = _span((shares[high] - shares[low])[both])
-        claims.append(
-            Claim(
-                f"VOI-Control uploads in a larger share of {b} than of {a} slots",
-                f"{PAPER_SHARE[b]} % / {PAPER_SHARE[a]} %",
-                " / ".join(_span(shares[c]).text("%", 1) for c in (high, low)) + f", difference {span.text('%', 1)}",
-                positive(span) if np.isfinite(span.mean) else NOT_HELD,
-                "whole 95 % interval of the paired difference above zero",
-            )
-        )
-    spans = {f: [_span(at_requests(found, c, f)) for c in range(len(PAPER_SHARE))] for f in ("risk_before_m", "risk_m")}
-    before, after = spans["risk_before_m"], spans["risk_m"]
+    contexts = found.scene.contexts
+    named = range(len(PAPER_SHARE))
+    before, after = ([_span(at_requests(found, c, f)) for c in named] for f in ("risk_before_m", "risk_m"))
     # A context without requests has no interval and is not inside.
     inside = [low <= s.low and s.high <= high for part, low, high in ((before, 6, 9), (after, 2, 4)) for s in part]
-    claims.append(
-        Claim(
+    compact = found.scene.predictor_m[:, :: len(found.scene.actions.prefixes)]
+    ratio = compact[:, 0] / compact.min(axis=1)
+    return [
+        _more_uploads(found, 1, 0),
+        _more_uploads(found, 2, 1),
+        Claim.true(
             "Requests bring the local risk from 6 to 9 m down to 2 to 4 m in every context",
             "6 to 9 m, 2 to 4 m",
             f"before {', '.join(s.text('m', 1) for s in before)}; after {', '.join(s.text('m', 1) for s in after)} "
-            f"({', '.join(found.scene.contexts[:3])})",
-            HELD if all(inside) else NOT_HELD,
+            f"({', '.join(contexts[:3])})",
+            all(inside),
             "whole 95 % interval of the median of every context within the paper's ranges",
-        )
-    )
-    step = len(found.scene.actions.prefixes)
-    compact = found.scene.predictor_m[:, ::step]
-    ratio = compact[:, 0] / compact.min(axis=1)
-    claims.append(
-        Claim(
+        ),
+        Claim.true(
             "The front-only compact prior is much larger than the best compact prior",
             "much larger residuals",
-            f"{', '.join(f'{r:.2f}' for r in ratio)} times the best ({', '.join(found.scene.contexts)})",
-            HELD if (ratio >= 2).all() else NOT_HELD,
+            f"{', '.join(f'{r:.2f}' for r in ratio)} times the best ({', '.join(contexts)})",
+            bool((ratio >= 2).all()),
             "at least twice in every context (the paper gives no number)",
-        )
+        ),
+    ]
+
+
+def _more_uploads(found: ControlStudy, more: int, less: int) -> Claim:
+    shares = [upload_percent(found, c) for c in range(len(PAPER_SHARE))]
+    both = np.isfinite(shares).all(axis=0)
+    difference = (shares[more] - shares[less])[both]
+    texts = " / ".join(_span(shares[c]).text("%", 1) for c in (more, less))
+    a, b = (found.scene.contexts[c] for c in (more, less))
+    return Claim.above_zero(
+        f"VOI-Control uploads in a larger share of {a} than of {b} slots",
+        f"{PAPER_SHARE[a]} % / {PAPER_SHARE[b]} %",
+        f"{texts}, difference {_span(difference).text('%', 1)}",
+        # Where no route has slots of every context there is nothing to see.
+        difference if both.any() else [0.0],
+        rule=PAIRED,
     )
-    return claims
 
 
 def caption(found: ControlStudy) -> str:
@@ -133,56 +134,50 @@ def caption(found: ControlStudy) -> str:
 
 def draw(path: Path, found: ControlStudy) -> None:
     """The three panels."""
-    with mpl.rc_context(fig.style()):
-        figure, axes = fig.panels(3, 1, height_in=2.3)
-        contexts = list(found.scene.contexts)
-        x = np.arange(len(contexts))
-        _draw_share(axes[0], found, x)
-        _draw_risk(axes[1], found, x)
-        modes = found.scene.actions.modes
-        step = len(found.scene.actions.prefixes)
-        for m, mode in enumerate(modes):
-            offset = (m - (len(modes) - 1) / 2) * 0.2
-            axes[2].bar(x + offset, found.scene.predictor_m[:, m * step], 0.18, color=MODE_COLOURS[mode], label=mode)
-        axes[2].set(ylabel="median residual (m)")
-        axes[2].set_ylim(0, 1.3 * float(found.scene.predictor_m.max()))
-        axes[2].legend(loc="upper center", ncols=4, columnspacing=0.8, handlelength=1.0)
+    with panels.sheet(path, 3, height_in=2.3) as axes:
+        _draw_share(axes[0], found)
+        fig.title(axes[0], "a", "uploads by context and mode")
+        _draw_risk(axes[1], found)
+        fig.title(axes[1], "b", "what a request changes")
+        _draw_prior(axes[2], found)
         fig.title(axes[2], "c", "compact prior")
-        for ax in axes:
-            ax.set_xticks(x, contexts)
-            ax.grid(visible=False, axis="x")
-        fig.save_figure(figure, path)
 
 
-def _draw_share(ax: Axes, found: ControlStudy, x: np.ndarray) -> None:
+def _draw_share(ax: Axes, found: ControlStudy) -> None:
+    contexts = found.scene.contexts
+    x = range(len(contexts))
     bottom = np.zeros(len(x))
     for mode in found.scene.actions.modes:
-        share = np.array([np.nan_to_num(_span(upload_percent(found, c, mode)).mean) for c in range(len(x))])
+        share = np.array([np.nan_to_num(_span(upload_percent(found, c, mode)).mean) for c in x])
         if share.any():
             ax.bar(x, share, 0.6, bottom=bottom, color=MODE_COLOURS[mode], label=mode)
         bottom += share
-    spans = [_span(upload_percent(found, c)) for c in range(len(x))]
-    half = [s.half if np.isfinite(s.half) else 0.0 for s in spans]
-    ax.errorbar(x, bottom, yerr=half, fmt="none", color="black", lw=1, capsize=2)
-    paper = [PAPER_SHARE.get(name, np.nan) for name in found.scene.contexts]
+    caps = [_span(upload_percent(found, c)).cap for c in x]
+    ax.errorbar(x, bottom, yerr=caps, fmt="none", color="black", lw=1, capsize=2)
+    paper = [PAPER_SHARE.get(name, np.nan) for name in contexts]
     ax.plot(x, paper, "_", ms=13, mew=1.6, color="black", label="paper, total")
+    ax.set_xticks(x, contexts)
+    ax.grid(visible=False, axis="x")
     ax.set(ylabel="slots with an upload (%)")
     ax.legend(loc="upper left")
-    fig.title(ax, "a", "uploads by context and mode")
 
 
-def _draw_risk(ax: Axes, found: ControlStudy, x: np.ndarray) -> None:
-    fields = {"risk_before_m": ("risk before", fig.GREY), "risk_m": ("risk after", fig.BLUE)}
-    fields["residual_m"] = ("residual", fig.ORANGE)
-    top = 1.0
-    for i, (field, (label, colour)) in enumerate(fields.items()):
-        spans = [_span(at_requests(found, c, field)) for c in range(len(x))]
-        half = [s.half if np.isfinite(s.half) else 0.0 for s in spans]
-        heights = np.nan_to_num([s.mean for s in spans])
-        top = max(top, float((heights + half).max()))
-        ax.bar(
-            x + (i - 1) * 0.26, heights, 0.24, yerr=half, color=colour, label=label, error_kw={"lw": 1, "capsize": 2}
-        )
-    ax.set(ylabel="median (m)", ylim=(0, 1.3 * top))
+def _draw_risk(ax: Axes, found: ControlStudy) -> None:
+    fields = (("risk_before_m", "risk before", fig.GREY), ("risk_m", "risk after", fig.BLUE))
+    series = []
+    for field, label, colour in (*fields, ("residual_m", "residual", fig.ORANGE)):
+        spans = [_span(at_requests(found, c, field)) for c in range(len(found.scene.contexts))]
+        series.append((label, colour, [Interval(float(np.nan_to_num(span.mean)), span.half) for span in spans]))
+    panels.columns(ax, found.scene.contexts, series)
+    top = max(span.mean + span.cap for _, _, spans in series for span in spans)
+    ax.set(ylabel="median (m)", ylim=(0, 1.3 * max(1.0, top)))
     ax.legend(loc="upper center", ncols=3, columnspacing=0.8, handlelength=1.0)
-    fig.title(ax, "b", "what a request changes")
+
+
+def _draw_prior(ax: Axes, found: ControlStudy) -> None:
+    compact = found.scene.predictor_m[:, :: len(found.scene.actions.prefixes)]
+    modes = found.scene.actions.modes
+    series = [(mode, MODE_COLOURS[mode], [Interval(m, 0.0) for m in compact[:, i]]) for i, mode in enumerate(modes)]
+    panels.columns(ax, found.scene.contexts, series)
+    ax.set(ylabel="median residual (m)", ylim=(0, 1.3 * float(found.scene.predictor_m.max())))
+    ax.legend(loc="upper center", ncols=4, columnspacing=0.8, handlelength=1.0)

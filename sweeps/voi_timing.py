@@ -3,14 +3,13 @@
 import time
 from typing import Any
 
-import jax
 import numpy as np
 
-from ovibjax.cards.control_drawing import representative, study
+from ovibjax.cards.control_results import representative, representative_replay, study
 from ovibjax.cards.control_study import ControlStudy
 from ovibjax.cards.job import Job
 from ovibjax.cards.timeline import draw_timeline, time_s
-from ovibjax.report.claims import NOT_HELD, Claim, above, interval, write_claims
+from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
 
 TITLE = "VOI-Control request timing on a held-out route"
@@ -20,8 +19,7 @@ def run(job: Job) -> None:
     """Run the card: study, the representative seed's slots as a table, claims, figure."""
     started = time.perf_counter()
     found = study(job)
-    seed = representative(found)
-    one = jax.tree.map(lambda field: field[seed], found.runs["voi"])
+    seed, one = representative(found), representative_replay(found)
     context, names = found.routes.context[seed], found.scene.contexts
     write_rows(job.out / "table.csv", table_rows(found, seed))
     write_claims(job.out / "claims.json", judge_claims(found))
@@ -57,16 +55,17 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
             quiet = run.risk_before_m[i] < np.median(run.risk_before_m[i])
             low.append(100.0 * float(run.sent[i][quiet].sum()) / float(run.sent[i].sum()))
             all_slots.append(100.0 * float(quiet.mean()))
-    fewer = interval(np.array(all_slots) - np.array(low)) if low else None
     return [
-        Claim(
+        Claim.at_least(
             "VOI-Control delays requests while the local risk is low",
             "delays requests while local risk is low",
             f"{interval(low).text('%', 1)} of the requests fall into the half of the slots with the lower risk"
-            if fewer
+            if low
             else "no request was sent",
-            above(fewer, 25.0) if fewer else NOT_HELD,
-            "at most half of the share that random timing would put there, whole 95 % interval",
+            25.0,
+            # Where nothing was sent, nothing was delayed.
+            np.array(all_slots) - np.array(low) if low else [0.0],
+            rule="at most half of the share that random timing would put there, whole 95 % interval",
         )
     ]
 

@@ -1,9 +1,8 @@
 """What the figures of edge scheduling share: recorded requests, names and colours of policies."""
 
-import jax
 import numpy as np
 
-from ovibjax.cards.control_drawing import representative, study
+from ovibjax.cards.control_results import representative, representative_replay, study
 from ovibjax.cards.job import Job
 from ovibjax.report import figures as fig
 from ovibjax.scheduling.clients import Events
@@ -24,7 +23,6 @@ COLOURS = {
 def events_of(job: Job) -> Events:
     """VOI-Control's requests on the held-out route of the representative seed; what every client replays."""
     found = study(job)
-    seed = representative(found)
-    run = jax.tree.map(lambda field: field[seed], found.runs["voi"])
+    context = found.routes.context[representative(found)]
     drift = np.asarray(found.env.drift_m2_per_s)
-    return recorded_events(run, found.routes.context[seed], drift, found.scene.actions)
+    return recorded_events(representative_replay(found), context, drift, found.scene.actions)

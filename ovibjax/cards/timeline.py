@@ -3,14 +3,15 @@
 import itertools
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.environment import SLOT_S
 from ovibjax.control.route_replay import RouteResult
 from ovibjax.report import figures as fig
+from ovibjax.report import panels
 
 MODE_MARKERS = {"F": "v", "FS": "o", "H4": "s", "A5": "D"}
 CONTEXT_COLOURS = {"corridor": "#DDE8F0", "intersection": "#FBE7C6", "repetitive": "#F3D3DF", "unknown": "#EEEEEE"}
@@ -61,7 +62,7 @@ def draw_requests(ax: Axes, run: RouteResult, actions: ActionSet, colour: str = 
 def legend(ax: Axes, names: tuple[str, ...]) -> None:
     """Legend of view modes and contexts on one line."""
     handles, labels = ax.get_legend_handles_labels()
-    handles += [mpl.patches.Patch(color=CONTEXT_COLOURS[name]) for name in names]
+    handles += [Patch(color=CONTEXT_COLOURS[name]) for name in names]
     look = {"columnspacing": 0.9, "handlelength": 1.2, "frameon": True, "framealpha": 0.85, "edgecolor": "none"}
     ax.legend(handles, [*labels, *names], loc="upper center", ncols=len(handles), **look)
 
@@ -79,32 +80,33 @@ def draw_timeline(
         actions: what action numbers mean.
         policy: the policy as it is written in the legend.
     """
-    with mpl.rc_context(fig.style()):
-        figure, axes = fig.panels(1, 3, height_in=1.45)
-        start_s = time_s(len(run.sent))
-        draw_requests(axes[0], run, actions)
-        shade(axes[0], context, names)
-        legend(axes[0], names)
-        fig.title(
-            axes[0], "a", f"requests of {policy}: {int(np.sum(run.sent))}, {run.payload_bytes.sum() / 1024:.2f} KB"
-        )
-        axes[1].plot(start_s, run.error_m, color=fig.RED, lw=1.1)
-        shade(axes[1], context, names)
-        axes[1].set(ylabel="route error (m)")
-        axes[1].set_ylim(bottom=0)
-        fig.title(axes[1], "b", f"error: mean {run.error_m.mean():.2f} m, p95 {np.percentile(run.error_m, 95):.2f} m")
-        axes[2].plot(start_s, run.rate_bps / 8192.0, color=fig.GREEN, lw=0.9, label="throughput (KB/s)")
-        axes[2].set(xlabel="time (s)", ylabel="throughput (KB/s)", xlim=(0, start_s[-1] + SLOT_S))
-        axes[2].set_ylim(0, 1.45 * max(float(run.rate_bps.max()) / 8192.0, 1e-3))
-        other = axes[2].twinx()
-        other.plot(start_s, 1000.0 * run.delay_s, color=fig.PURPLE, lw=0.9, label="predicted edge delay (ms)")
-        other.set_ylabel("edge delay (ms)")
-        other.set_ylim(0, 1.45 * float(1000.0 * run.delay_s.max()))
-        other.grid(visible=False)
-        other.spines["right"].set_visible(True)
-        lines = [*axes[2].get_lines(), *other.get_lines()]
-        axes[2].legend(lines, [str(line.get_label()) for line in lines], loc="upper center", ncols=2)
-        fig.title(axes[2], "c", "link and edge")
-        for ax in axes[:2]:
+    with panels.sheet(path, 1, 3, height_in=1.45) as (requests, error, link):
+        draw_requests(requests, run, actions)
+        legend(requests, names)
+        sent, kb = int(np.sum(run.sent)), run.payload_bytes.sum() / 1024
+        fig.title(requests, "a", f"requests of {policy}: {sent}, {kb:.2f} KB")
+        error.plot(time_s(len(run.sent)), run.error_m, color=fig.RED, lw=1.1)
+        error.set(ylabel="route error (m)")
+        error.set_ylim(bottom=0)
+        fig.title(error, "b", f"error: mean {run.error_m.mean():.2f} m, p95 {np.percentile(run.error_m, 95):.2f} m")
+        for ax in (requests, error):
+            shade(ax, context, names)
             ax.tick_params(labelbottom=False)
-        fig.save_figure(figure, path)
+        _draw_link(link, run)
+        fig.title(link, "c", "link and edge")
+
+
+def _draw_link(ax: Axes, run: RouteResult) -> None:
+    """Throughput, and on a second axis the predicted edge delay."""
+    start_s = time_s(len(run.sent))
+    ax.plot(start_s, run.rate_bps / 8192.0, color=fig.GREEN, lw=0.9, label="throughput (KB/s)")
+    ax.set(xlabel="time (s)", ylabel="throughput (KB/s)", xlim=(0, start_s[-1] + SLOT_S))
+    ax.set_ylim(0, 1.45 * max(float(run.rate_bps.max()) / 8192.0, 1e-3))
+    delay = ax.twinx()
+    delay.plot(start_s, 1000.0 * run.delay_s, color=fig.PURPLE, lw=0.9, label="predicted edge delay (ms)")
+    delay.set_ylabel("edge delay (ms)")
+    delay.set_ylim(0, 1.45 * float(1000.0 * run.delay_s.max()))
+    delay.grid(visible=False)
+    delay.spines["right"].set_visible(True)
+    lines = [*ax.get_lines(), *delay.get_lines()]
+    ax.legend(lines, [str(line.get_label()) for line in lines], loc="upper center", ncols=2)

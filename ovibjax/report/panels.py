@@ -105,9 +105,8 @@ def columns(ax: Axes, groups: Sequence[str], series: Sequence[tuple[str, str, Se
     offsets = (np.arange(len(series)) - (len(series) - 1) / 2) * width
     places = offsets[:, None] + np.arange(len(groups))
     for x, (label, colour, values) in zip(places, series, strict=True):
-        caps = [value.cap for value in values]
-        means = [value.mean for value in values]
-        ax.bar(x, means, 0.92 * width, yerr=caps, color=colour, label=label, error_kw=_CAPS)
+        means, caps = [value.mean for value in values], [value.cap for value in values]
+        ax.bar(x, means, 0.92 * width, yerr=caps if any(caps) else None, color=colour, label=label, error_kw=_CAPS)
     ax.set_xticks(range(len(groups)), list(groups))
     ax.grid(visible=False, axis="x")
     return places
