@@ -12,7 +12,8 @@ from ovibjax.cards.control_drawing import NAMES, PAPER_MEAN_M, draw_mean_and_p95
 from ovibjax.cards.control_results import PAIRED, policy_rows, reductions, study
 from ovibjax.cards.control_study import ControlStudy
 from ovibjax.cards.job import Job
-from ovibjax.control.policies import PAPER_BUDGET_KB, POLICIES
+from ovibjax.control.controller import PAPER_BUDGET_KB
+from ovibjax.control.policies import POLICIES
 from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ovibjax.control.controller import Controller
 from ovibjax.control.environment import PAPER_SLOTS, Environment, Route, make_environment
-from ovibjax.control.policies import Controller
 from ovibjax.control.policy_study import (
     Outcome,
     Setting,

@@ -61,9 +61,11 @@ class Replay:
         import jax
 
         from ovibjax.cards.control_study import PRESETS, drives_of
+        from ovibjax.control.client_state import ControlParams
+        from ovibjax.control.controller import make_controller
         from ovibjax.control.environment import SLOT_S, draw, make_environment
-        from ovibjax.control.policies import make_controller
-        from ovibjax.control.route_replay import Params, replay, summarize
+        from ovibjax.control.route_replay import replay_draws
+        from ovibjax.control.route_summary import summarize
         from ovibjax.control.scene import make_scene
         from ovibjax.link.trace_files import read_trace
         from ovibjax.link.traces import resample
@@ -83,13 +85,15 @@ class Replay:
             scene.actions, budget_kb=self.budget, **{name: v for name, v in given.items() if v is not None}
         )
         env = make_environment(scene.context_share, self.profile, self.drift)
-        params = Params(env, control)
+        params = ControlParams(env, control)
         draws = draw(jax.random.key(self.seed), route, env, scene.actions)
         if measured is not None:
             rate = resample(measured, SLOT_S, len(scene.held_out[self.route].context))
             draws = draws._replace(rate_bps=jax.numpy.asarray(rate))
         with console.status("replaying"):
-            runs = {name: jax.device_get(replay(draws, route, name, params, scene.actions)) for name in self.policy}
+            runs = {
+                name: jax.device_get(replay_draws(draws, route, name, params, scene.actions)) for name in self.policy
+            }
         summaries = {name: summarize(run) for name, run in runs.items()}
         self._print({name: [float(value) for value in summary] for name, summary in summaries.items()})
         if self.plot:

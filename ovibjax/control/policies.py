@@ -1,8 +1,8 @@
 """When to ask and how: six causal request policies and one that knows the residuals (paper, "View-Rate Selection").
 
 Each policy is a pure function of what the client sees in one slot, with one signature. What is planned ahead (evenly
-spaced slots, random slots, another policy's slots) comes in as `scheduled`. Actions are unrolled: a handful of them,
-element-wise over whatever the caller maps, is faster than an axis of length eight.
+spaced slots, random slots, another policy's slots) comes in as `scheduled`, see `planning`. Actions are unrolled: a
+handful of them, element-wise over whatever the caller maps, is faster than an axis of length eight.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,91 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.control.actions import ActionSet
-from ovibjax.control.voi import Prices, net_voi
-
-
-class Rules(NamedTuple):
-    """Numbers of the fixed rules; leaves.
-
-    Attributes:
-        period_s: Periodic asks this often.
-        fixed_front_risk_m: Fixed-front asks above this risk ...
-        fixed_front_gap_s: ... and not sooner after the last request.
-        uncertainty_risk_m: Uncertainty asks above this risk ...
-        uncertainty_gap_s: ... and not sooner after the last request.
-    """
-
-    period_s: Any
-    fixed_front_risk_m: Any
-    fixed_front_gap_s: Any
-    uncertainty_risk_m: Any
-    uncertainty_gap_s: Any
-
-
-class Controller(NamedTuple):
-    """Numbers of the controller; leaves.
-
-    Attributes:
-        prices: lambda_b, lambda_e, lambda_d.
-        threshold_m: VOI-Control asks only if the net VOI exceeds this.
-        min_gap_s: shortest time between two requests of VOI-Control.
-        budget_bytes: payload allowed over the route.
-        energy_j: [A] endpoint energy E(a) of each action.
-        energy_budget_j: energy allowed over the route.
-        available: [A] bool, actions that may be chosen.
-        gate_sigma: innovation gate of corrections, see `belief.correct`.
-        rules: numbers of the other policies.
-    """
-
-    prices: Prices
-    threshold_m: Any
-    min_gap_s: Any
-    budget_bytes: Any
-    energy_j: Any
-    energy_budget_j: Any
-    available: Any
-    gate_sigma: Any
-    rules: Rules
-
-
-PAPER_BUDGET_KB = 2.1
-
-
-def make_controller(
-    actions: ActionSet,
-    bandwidth_m_per_s: float = 117.0,
-    delay_m_per_s: float = 29.0,
-    threshold_m: float = 0.27,
-    min_gap_s: float = 9.5,
-    budget_kb: float = PAPER_BUDGET_KB,
-) -> Controller:
-    """A controller with the paper's rules, no price on energy, and every action available.
-
-    The default prices, threshold and gap are those that the tuning seeds of the full preset selected.
-
-    Args:
-        actions: the action set.
-        bandwidth_m_per_s: lambda_b.
-        delay_m_per_s: lambda_d.
-        threshold_m: net VOI above which VOI-Control asks.
-        min_gap_s: shortest time between its requests.
-        budget_kb: payload per route, KB of 1,024 bytes.
-
-    Returns:
-        Float32 leaves.
-    """
-    number = jnp.float32
-    return Controller(
-        prices=Prices(number(bandwidth_m_per_s), number(0.0), number(delay_m_per_s)),
-        threshold_m=number(threshold_m),
-        min_gap_s=number(min_gap_s),
-        budget_bytes=number(budget_kb * 1024.0),
-        energy_j=jnp.zeros(len(actions), jnp.float32),
-        energy_budget_j=number(jnp.inf),
-        available=jnp.ones(len(actions), bool),
-        gate_sigma=number(3.0),
-        rules=Rules(number(16.0), number(8.0), number(1.0), number(6.0), number(6.0)),
-    )
+from ovibjax.control.controller import Controller
+from ovibjax.control.voi import net_voi
 
 
 class Observation(NamedTuple):
@@ -230,38 +147,3 @@ POLICIES: dict[str, Policy] = {
     "oracle_action": oracle_action,
 }
 """Policies by name; the last is no causal policy but a bound."""
-
-FOLLOW_VOI = ("budgeted_periodic", "random", "oracle_action")
-"""Policies whose number of requests, or their slots, are VOI-Control's."""
-
-
-def schedule(
-    policy: str, slot_s: jax.Array, rank: jax.Array, phase: jax.Array, control: Controller, voi_sent: jax.Array
-) -> jax.Array:
-    """Slots that a policy has planned ahead.
-
-    Args:
-        policy: its name (static).
-        slot_s: length of a slot.
-        rank: [T] a random permutation.
-        phase: offset of Periodic as a share of its period.
-        control: numbers of the rules.
-        voi_sent: [T] bool, slots in which VOI-Control asked on the same seed.
-
-    Returns:
-        [T] bool.
-    """
-    slots = voi_sent.shape[0]
-    slot = jnp.arange(slots)
-    count = jnp.sum(voi_sent.astype(jnp.int32))
-    if policy == "periodic":
-        period = jnp.maximum(jnp.round(control.rules.period_s / slot_s).astype(jnp.int32), 1)
-        return (slot + jnp.floor(phase * period.astype(jnp.float32)).astype(jnp.int32)) % period == period - 1
-    if policy == "budgeted_periodic":
-        # Slots at which the running share of the count passes a half: evenly spaced, exactly `count` of them.
-        return ((slot + 1) * count + slots // 2) // slots > (slot * count + slots // 2) // slots
-    if policy == "random":
-        return rank < count
-    if policy == "oracle_action":
-        return voi_sent
-    return jnp.zeros(slots, bool)

@@ -15,9 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.client_state import ControlParams
+from ovibjax.control.controller import Controller, FixedRules, make_controller
 from ovibjax.control.environment import Draws, Environment, Route, draw, make_environment
-from ovibjax.control.policies import POLICIES, Controller, Rules, make_controller
-from ovibjax.control.route_replay import Params, RouteResult, Summary, plan, replay_schedule, score, summarize
+from ovibjax.control.planning import plan
+from ovibjax.control.policies import POLICIES
+from ovibjax.control.route_replay import RouteResult, replay_schedule
+from ovibjax.control.route_summary import Summary, score, summarize
 from ovibjax.control.scene import Scene
 from ovibjax.control.voi import Prices
 
@@ -69,7 +73,7 @@ class Outcome(NamedTuple):
     searched: Summary
     best: jax.Array
     control: Controller
-    tuned: Rules
+    tuned: FixedRules
     held_out: dict[str, Summary]
     histories: dict[str, RouteResult]
 
@@ -111,7 +115,7 @@ def study(
     settings: Setting,
     env: Environment,
     tried: Controller,
-    rules: Rules,
+    rules: FixedRules,
     training: Route,
     tuning_keys: jax.Array,
     held_out: Route,
@@ -172,7 +176,7 @@ def search(
     """
 
     def lane(draws: Draws, route: Route) -> Summary:
-        return jax.vmap(lambda control: score(draws, route, policy, Params(env, control), actions))(tried)
+        return jax.vmap(lambda control: score(draws, route, policy, ControlParams(env, control), actions))(tried)
 
     return jax.vmap(jax.vmap(lane, (0, None)))(draws, routes)
 
@@ -188,7 +192,7 @@ def take(tried: Controller, index: jax.Array) -> Controller:
 
 
 def compare(
-    env: Environment, control: Controller, tuned: Rules, routes: Route, keys: jax.Array, actions: ActionSet
+    env: Environment, control: Controller, tuned: FixedRules, routes: Route, keys: jax.Array, actions: ActionSet
 ) -> dict[str, RouteResult]:
     """Every policy on paired routes and seeds.
 
@@ -203,7 +207,7 @@ def compare(
     Returns:
         Histories [L, T] by policy, and `tuned_uncertainty`.
     """
-    params = Params(env, control)
+    params = ControlParams(env, control)
 
     def one(route: Route, key: jax.Array) -> dict[str, RouteResult]:
         draws = draw(key, route, env, actions)
@@ -220,7 +224,7 @@ def compare(
         both = jax.tree.map(lambda *leaves: jnp.stack(leaves), control.rules, tuned)
         histories = jax.vmap(
             lambda rules: replay_schedule(
-                draws, route, "uncertainty", none, Params(env, control._replace(rules=rules)), actions
+                draws, route, "uncertainty", none, ControlParams(env, control._replace(rules=rules)), actions
             )
         )(both)
         results |= {

@@ -13,8 +13,10 @@ import jax.numpy as jnp
 
 from ovibjax.control import belief
 from ovibjax.control.actions import ACTIONS, ActionSet
+from ovibjax.control.client_state import ControlParams, Slot, SlotInfo, State, start
+from ovibjax.control.client_step import decide, observe, respond
 from ovibjax.control.environment import SLOT_S, Draws, Route
-from ovibjax.control.route_replay import Params, Slot, SlotInfo, State, decide, observe, respond, slots_of, start
+from ovibjax.control.route_replay import slots_of
 from ovibjax.edge.service import draw_ms, estimate_ms
 from ovibjax.link.latency import JETSON, compute_ms_at, transmit_s
 from ovibjax.scheduling.requests import NEVER, Requests
@@ -87,7 +89,7 @@ def run(
     routes: Route,
     mission: Mission,
     policy: str,
-    params: Params,
+    params: ControlParams,
     scheduler: str,
     scheduler_params: SchedulerParams,
     actions: ActionSet = ACTIONS,
@@ -132,7 +134,7 @@ def _slot(
     key: jax.Array,
     mission: Mission,
     policy: str,
-    params: Params,
+    params: ControlParams,
     scheduler: str,
     scheduler_params: SchedulerParams,
     actions: ActionSet,

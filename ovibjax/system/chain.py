@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.control.actions import SweptActions
+from ovibjax.control.client_state import ControlParams
+from ovibjax.control.controller import Controller
 from ovibjax.control.environment import Environment, Route, draw
-from ovibjax.control.policies import Controller
 from ovibjax.control.residuals import encode_views, mix_frames, retrieve
-from ovibjax.control.route_replay import Params as ControlParams
-from ovibjax.control.route_replay import RouteResult, simulate, summarize
+from ovibjax.control.route_replay import RouteResult, simulate
+from ovibjax.control.route_summary import summarize
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import Params
 from ovibjax.encoder.train import TrainConfig, TrainData, fit

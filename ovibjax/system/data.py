@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.controller import make_controller
 from ovibjax.control.environment import make_environment
-from ovibjax.control.policies import make_controller
 from ovibjax.control.residuals import TRAIN_FRAMES, survey
 from ovibjax.control.scene import SURVEY_M
 from ovibjax.encoder.model import Architecture

@@ -49,9 +49,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.client_state import ControlParams
+from ovibjax.control.controller import Controller, make_controller
 from ovibjax.control.environment import Draws, Environment, Route, draw, make_environment
-from ovibjax.control.policies import Controller, make_controller
-from ovibjax.control.route_replay import Params, Summary, score
+from ovibjax.control.route_summary import Summary, score
 from ovibjax.control.voi import Prices
 from tests.control.cases import for_oracle
 from tests.oracles import control as oracle
@@ -88,7 +89,7 @@ def on_one_device(draws: Draws, route: Route, env: Environment, tried: Controlle
     """Fields [seeds, candidates]; `per_scan` seeds go through one scan, the others after them."""
 
     def of_seed(draws: Draws) -> Summary:
-        return jax.vmap(lambda control: score(draws, route, "voi", Params(env, control)))(tried)
+        return jax.vmap(lambda control: score(draws, route, "voi", ControlParams(env, control)))(tried)
 
     return jax.lax.map(of_seed, draws, batch_size=per_scan)
 
@@ -198,7 +199,7 @@ def plain_python(inputs: tuple, lanes: list[tuple[int, int]]) -> tuple[np.ndarra
     found, seconds = [], 0.0
     for s, c in lanes:
         one, control = (jax.tree.map(lambda leaf, i=i: leaf[i], tree) for tree, i in ((draws, s), (tried, c)))
-        arguments = for_oracle(one, route, Params(env, control))
+        arguments = for_oracle(one, route, ControlParams(env, control))
         start = time.perf_counter()
         result = oracle.replay("voi", *arguments)
         seconds += time.perf_counter() - start

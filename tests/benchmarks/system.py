@@ -37,9 +37,10 @@ import numpy as np
 import torch
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.client_state import ControlParams
 from ovibjax.control.environment import draw
 from ovibjax.control.residuals import encode_views, mix_frames
-from ovibjax.control.route_replay import Params, simulate
+from ovibjax.control.route_replay import simulate
 from ovibjax.control.scene import embedded_drives
 from ovibjax.encoder.model import dense_layers
 from ovibjax.scheduling.queue_replay import waits
@@ -154,7 +155,7 @@ def main() -> None:
     history = system.replay_clients(route_key, routes, actions, data, static)
     one = jax.tree.map(lambda leaf: leaf[0], routes)
     draws = draw(jax.random.fold_in(route_key, 0), one, data.env, actions)
-    params_control = Params(data.env, data.control)
+    params_control = ControlParams(data.env, data.control)
     static_actions = ActionSet(static.modes, (k,))
     arguments = for_oracle(draws, one, params_control, static_actions)
     replayed, replay_s = timed(lambda: oracle.replay("voi", *arguments), repeats=1)

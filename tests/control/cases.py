@@ -8,9 +8,11 @@ import numpy as np
 
 from ovibjax.control import route_replay as replay
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.client_state import ControlParams
+from ovibjax.control.controller import make_controller
 from ovibjax.control.environment import Route, draw, make_environment
-from ovibjax.control.policies import FOLLOW_VOI, POLICIES, make_controller
-from ovibjax.control.route_replay import Params
+from ovibjax.control.planning import FOLLOW_VOI, plan
+from ovibjax.control.policies import POLICIES
 from tests.oracles import control as oracle
 
 SLOTS = 60
@@ -87,7 +89,7 @@ def for_oracle(draws, route, params, actions=ACTIONS):
 
 
 _follow = jax.jit(replay.replay_schedule, static_argnames=("policy", "actions"))
-_plan = jax.jit(replay.plan, static_argnames="policy")
+_plan = jax.jit(plan, static_argnames="policy")
 draw_jit = jax.jit(draw, static_argnames="actions")
 
 
@@ -155,4 +157,4 @@ WORLDS = {
 def world(name):
     """Parameters of a named world."""
     env, control = WORLDS[name]
-    return Params(environment(**env), controller(**control))
+    return ControlParams(environment(**env), controller(**control))

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ovibjax.control import belief
+from ovibjax.control import belief, client_step
 from ovibjax.control import route_replay as replay
 from ovibjax.control.actions import ACTIONS
 from ovibjax.control.belief import Belief
+from ovibjax.control.client_state import ControlParams, start
 from ovibjax.control.environment import Route, draw, drift_from_paper, make_environment
-from ovibjax.control.route_replay import Params
 from tests.control.cases import PREDICTED, controller, environment
 from tests.oracles import control as oracle
 
@@ -98,10 +98,10 @@ def realizations():
         slots_in = replay.slots_of(route, draws, jnp.zeros(slots, bool))
 
         def step(state, slot):
-            state, info = replay.step(state, slot, "voi", Params(env, control), ACTIONS)
+            state, info = client_step.step(state, slot, "voi", ControlParams(env, control), ACTIONS)
             return state, (state.belief, info)
 
-        return jax.lax.scan(step, replay.start(draws), slots_in)[1]
+        return jax.lax.scan(step, start(draws), slots_in)[1]
 
     many = jax.jit(jax.vmap(one, (0, None, None)))
     return lambda env, control: many(jax.random.split(jax.random.key(11), count), env, control)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from ovibjax.control import policies
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.planning import FOLLOW_VOI, planned_slots
 from ovibjax.control.policies import POLICIES, Observation
 from tests.control.cases import controller
 from tests.oracles import control as oracle
@@ -110,7 +111,7 @@ def test_highest(items):
         assert float(policies.chosen([jnp.float32(v) for v in values], index)) == values[want]
 
 
-schedule = jax.jit(policies.schedule, static_argnames="policy")
+planned = jax.jit(planned_slots, static_argnames="policy")
 
 
 @pytest.mark.parametrize("slots", [1, 2, 60, 61])
@@ -124,10 +125,10 @@ def test_planned_slots_equal_the_oracle(slots):
         rank = rng.permutation(slots).astype(np.int32)
         phase = np.float32(rng.random())
         for policy in POLICIES:
-            found = np.flatnonzero(schedule(policy, jnp.float32(0.5), rank, phase, control, sent))
+            found = np.flatnonzero(planned(policy, jnp.float32(0.5), rank, phase, control, sent))
             want = oracle.planned_slots(policy, slots, 0.5, 2.0, phase, rank, asked.tolist())
             assert found.tolist() == sorted(want), (policy, count)
-            if policy in policies.FOLLOW_VOI:
+            if policy in FOLLOW_VOI:
                 assert len(found) == count
             if policy == "budgeted_periodic" and count > 1:
                 gaps = np.diff(found)

@@ -9,9 +9,9 @@ import pytest
 
 from ovibjax.control import policy_study as module
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.client_state import ControlParams
 from ovibjax.control.policies import POLICIES
 from ovibjax.control.policy_study import Setting, candidates, seeds_to_keys, stack_routes, study, take
-from ovibjax.control.route_replay import Params
 from tests.control.cases import QUICK_RULES, controller, draw_jit, environment, for_oracle, make_route
 from tests.oracles import control as oracle
 
@@ -54,7 +54,7 @@ def at(arguments, setting):
 
 def run_oracle(policy, key, route, env, control):
     draws = draw_jit(key, route, env, ACTIONS)
-    return oracle.replay(policy, *for_oracle(draws, route, Params(env, control)))
+    return oracle.replay(policy, *for_oracle(draws, route, ControlParams(env, control)))
 
 
 @pytest.mark.parametrize("setting", [0, 1])

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 
 from ovibjax.control import route_replay as replay
 from ovibjax.control.actions import ACTIONS
-from ovibjax.control.policies import FOLLOW_VOI, POLICIES
+from ovibjax.control.client_state import ControlParams
+from ovibjax.control.planning import FOLLOW_VOI
+from ovibjax.control.policies import POLICIES
 from ovibjax.control.residuals import actions_for
-from ovibjax.control.route_replay import Params
+from ovibjax.control.route_summary import score, summarize
 from tests.control.cases import (
     BUSY,
     EAGER,
@@ -60,7 +62,7 @@ def test_budgets_are_kept_and_counts_are_those_of_voi_control(seed, budget, pric
     env = environment(**(BUSY | WEAK | {"mean_kb_per_s": mean_kb_per_s}))
     control = controller(**(EAGER | {"rules": QUICK_RULES, "budget_bytes": float(budget)}))
     prices = control.prices._replace(bandwidth_m_per_s=jnp.float32(price))
-    params, route = Params(env, control._replace(prices=prices)), make_route(seed)
+    params, route = ControlParams(env, control._replace(prices=prices)), make_route(seed)
     draws = draw_jit(jax.random.key(seed), route, env, ACTIONS)
     sent = {}
     for policy in POLICIES:
@@ -84,7 +86,7 @@ def test_nothing_can_be_bought(policy):
     route, key = make_route(1), jax.random.key(1)
     busy = environment(**BUSY)
     for changes in ({"budget_bytes": 0.0}, {"available": [False] * 8}, {"energy_j": [1.0] * 8, "energy_budget_j": 0.5}):
-        params = Params(busy, controller(**(EAGER | {"rules": QUICK_RULES} | changes)))
+        params = ControlParams(busy, controller(**(EAGER | {"rules": QUICK_RULES} | changes)))
         found, expected = both(policy, key, route, params)
         assert_equal(found, expected)
         # The bound ignores the payload budget, but asks only where VOI-Control does.
@@ -95,7 +97,7 @@ def test_nothing_can_be_bought(policy):
 @pytest.mark.parametrize("policy", POLICIES)
 def test_a_dead_link_loses_everything(policy):
     env = environment(**(BUSY | {"mean_kb_per_s": 0.0}))
-    found, expected = both(policy, jax.random.key(2), make_route(2), Params(env, controller(**EAGER)))
+    found, expected = both(policy, jax.random.key(2), make_route(2), ControlParams(env, controller(**EAGER)))
     assert_equal(found, expected)
     assert not np.any(found.sent) or policy in ("periodic", "uncertainty", "fixed_front")
     assert np.all(np.diff(found.risk_m) > 0)  # no correction ever comes
@@ -107,7 +109,7 @@ def test_residuals_above_the_risk_are_not_worth_asking_for():
     route = route._replace(predicted_m=jnp.full_like(route.predicted_m, 500.0))
     control = controller(threshold_m=-1.0, min_gap_s=0.0, prices={"bandwidth_m_per_s": 0.0, "delay_m_per_s": 0.0})
     for policy in ("voi", *FOLLOW_VOI):
-        found, expected = both(policy, jax.random.key(3), route, Params(environment(**BUSY), control))
+        found, expected = both(policy, jax.random.key(3), route, ControlParams(environment(**BUSY), control))
         assert_equal(found, expected)
         assert not found.sent.any()
 
@@ -115,7 +117,7 @@ def test_residuals_above_the_risk_are_not_worth_asking_for():
 def test_one_slot():
     route = make_route(0, slots=1)
     env = environment(**(BUSY | {"initial_risk_m": 9.0}))
-    params = Params(env, controller(**(EAGER | {"rules": QUICK_RULES | {"period_s": 0.5}})))
+    params = ControlParams(env, controller(**(EAGER | {"rules": QUICK_RULES | {"period_s": 0.5}})))
     for policy in ("voi", "budgeted_periodic"):
         found, expected = both(policy, jax.random.key(0), route, params)
         assert found.sent.shape == (1,) and found.sent.all()
@@ -125,7 +127,7 @@ def test_one_slot():
 def test_ground_vehicle():
     actions = actions_for(4, ACTIONS)
     assert actions.names == ("F-C", "F-R", "FS-C", "FS-R", "H4-C", "H4-R")
-    params = Params(environment(**BUSY), controller(actions, **(EAGER | {"rules": QUICK_RULES})))
+    params = ControlParams(environment(**BUSY), controller(actions, **(EAGER | {"rules": QUICK_RULES})))
     for policy in ("voi", "oracle_action"):
         found, expected = both(policy, jax.random.key(4), make_route(4, actions=6), params, actions)
         assert_equal(found, expected)
@@ -166,11 +168,13 @@ def test_vmap_equals_loop_for_keys_and_every_swept_leaf():
     rows += [(seed, base) for seed in range(1, 4)]
     keys = jnp.stack([jax.random.key(seed) for seed, _ in rows])
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[control for _, control in rows])
-    mapped = jax.jit(jax.vmap(lambda key, control: replay.run(key, route, "voi", Params(env, control))))(keys, stacked)
+    mapped = jax.jit(jax.vmap(lambda key, control: replay.replay(key, route, "voi", ControlParams(env, control))))(
+        keys, stacked
+    )
     results = []
     for i, (seed, control) in enumerate(rows):
         draws = draw_jit(jax.random.key(seed), route, env, ACTIONS)
-        single = simulate(draws, route, "voi", Params(env, control))
+        single = simulate(draws, route, "voi", ControlParams(env, control))
         for name, one in single._asdict().items():
             np.testing.assert_allclose(np.asarray(getattr(mapped, name))[i], one, rtol=1e-4, atol=1e-4, err_msg=name)
         results.append(np.asarray(single.error_m))
@@ -193,12 +197,12 @@ def test_score_equals_the_summary_of_the_history(policy):
 
     def one(key):
         draws = draw_jit(key, route, params.env, ACTIONS)
-        return replay.score(draws, route, policy, params)
+        return score(draws, route, policy, params)
 
     scores = jax.jit(jax.vmap(one))(keys)
     for i, key in enumerate(keys):
         history = simulate(draw_jit(key, route, params.env, ACTIONS), route, policy, params)
-        summary = replay.summarize(history)
+        summary = summarize(history)
         for name in ("mean_m", "risk_m", "requests", "kb"):
             np.testing.assert_allclose(getattr(scores, name)[i], getattr(summary, name), rtol=1e-4, err_msg=name)
         assert np.isnan(scores.p95_m[i]) and int(summary.requests) > 0

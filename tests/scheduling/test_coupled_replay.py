@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.client_state import ControlParams
+from ovibjax.control.controller import make_controller
 from ovibjax.control.environment import Route, draw, make_environment
-from ovibjax.control.policies import make_controller
-from ovibjax.control.route_replay import Params, simulate
+from ovibjax.control.route_replay import simulate
 from ovibjax.scheduling.coupled_replay import CoupledResult, Mission, run
 from ovibjax.scheduling.rules import default_params
 
 SLOTS = 40
 
 
-def make_params(**changes: float) -> Params:
+def make_params(**changes: float) -> ControlParams:
     control = make_controller(ACTIONS, 2.0, 2.0, 1.0, 1.0, budget_kb=1e6)
-    return Params(make_environment()._replace(**{k: jnp.float32(v) for k, v in changes.items()}), control)
+    return ControlParams(make_environment()._replace(**{k: jnp.float32(v) for k, v in changes.items()}), control)
 
 
 def make_routes(n: int) -> Route:
@@ -32,7 +33,7 @@ def make_routes(n: int) -> Route:
 
 
 @partial(jax.jit, static_argnames=("n", "scheduler"))
-def replay(n: int, params: Params, routes: Route, scheduler: str) -> CoupledResult:
+def replay(n: int, params: ControlParams, routes: Route, scheduler: str) -> CoupledResult:
     keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(1), i))(jnp.arange(n))
     draws = jax.vmap(lambda key, route: draw(key, route, params.env, ACTIONS))(keys, routes)
     mission = Mission(jnp.linspace(0.5, 1.5, n), jnp.full(n, 300.0))

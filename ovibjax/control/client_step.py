@@ -1,0 +1,190 @@
+"""One client in one slot: drift, correction, decision, request.
+
+Odometry drifts; a correction that has arrived takes effect; the client decides; a correction that returns within the
+slot is used in that slot, a later one from the slot it arrives in. A newer request supersedes one that is under way.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ovibjax.control import belief
+from ovibjax.control.actions import ActionSet
+from ovibjax.control.belief import Belief
+from ovibjax.control.client_state import ControlParams, Slot, SlotInfo, State
+from ovibjax.control.policies import POLICIES, Decision, Observation, chosen
+from ovibjax.control.voi import net_voi
+from ovibjax.link.latency import transmit_s
+from ovibjax.runtime.computed_once import computed_once
+
+
+class Request(NamedTuple):
+    """A request with one action, and the correction that it would bring.
+
+    Attributes:
+        payload_bytes: its size b(a).
+        latency_s: time from decision to correction.
+        measured_m: realised error of the edge's position, x and y.
+        predicted_m: predicted residual g_psi.
+        delay_s: predicted queueing, service and return delay.
+        energy_j: energy it costs.
+        residual_m: length of `measured_m`.
+        voi_m: predicted net VOI.
+    """
+
+    payload_bytes: jax.Array
+    latency_s: jax.Array
+    measured_m: list[jax.Array]
+    predicted_m: jax.Array
+    delay_s: jax.Array
+    energy_j: jax.Array
+    residual_m: jax.Array
+    voi_m: jax.Array
+
+
+def step(state: State, slot: Slot, policy: str, params: ControlParams, actions: ActionSet) -> tuple[State, SlotInfo]:
+    """One slot of one client under a policy; `policy` and `actions` are static."""
+    state, seen = observe(state, slot, params, actions, budgeted=policy != "oracle_action")
+    decision = decide(seen, slot, policy, params, actions)
+    return respond(state, slot, seen, decision, params, actions)
+
+
+def observe(
+    state: State, slot: Slot, params: ControlParams, actions: ActionSet, budgeted: bool
+) -> tuple[State, Observation]:
+    """Odometry drifts, a correction that is due takes effect, and the client looks around.
+
+    Args:
+        state: the client.
+        slot: what the world brings.
+        params: environment and controller.
+        actions: the action set (static).
+        budgeted: whether the payload budget binds (static).
+
+    Returns:
+        The client after drift and correction, and what it sees.
+    """
+    control = params.control
+    now = belief.propagate(state.belief, slot.increment)
+    pending = belief.propagate(state.pending, slot.increment)
+    state = state._replace(
+        belief=belief.select(state.flight == 1, pending, now),
+        pending=pending,
+        flight=jnp.maximum(state.flight - 1, 0),
+        since=state.since + 1,
+    )
+    sizes = actions.payload_bytes
+    allowed = []
+    for a in range(len(actions)):
+        fits = state.used_j + control.energy_j[a] <= control.energy_budget_j
+        if budgeted:
+            fits = fits & (state.sent_bytes + jnp.float32(sizes[a]) <= control.budget_bytes)
+        allowed.append(fits & control.available[a])
+    seen = Observation(
+        risk_m=belief.local_risk_m(state.belief),
+        predicted_m=slot.predicted_m,
+        realised_m=jnp.sqrt(jnp.sum(slot.residual_m**2, axis=-1)),
+        rate_bps=slot.rate_bps,
+        delay_s=slot.delay_s,
+        since_s=state.since.astype(jnp.float32) * params.env.slot_s,
+        waiting=state.flight > 0,
+        scheduled=slot.scheduled,
+        allowed=tuple(allowed),
+    )
+    return state, seen
+
+
+def decide(seen: Observation, slot: Slot, policy: str, params: ControlParams, actions: ActionSet) -> Decision:
+    """Ask a policy what to do; `policy` and `actions` are static."""
+
+    def code(seen: Observation) -> jax.Array:
+        decision = POLICIES[policy](seen, params.control, actions)
+        return jnp.where(decision.send, decision.action, -1)
+
+    made = computed_once(slot.number >= 0, code, seen)
+    return Decision(made >= 0, jnp.maximum(made, 0))
+
+
+def request_with(
+    action: jax.Array, risk_m: jax.Array, slot: Slot, seen: Observation, params: ControlParams, actions: ActionSet
+) -> Request:
+    """The request that a client would send with an action.
+
+    Args:
+        action: int32 number of the action.
+        risk_m: local risk.
+        slot: what the world brings.
+        seen: what the client saw.
+        params: environment and controller.
+        actions: the action set (static).
+
+    Returns:
+        The request.
+    """
+    every = range(len(actions))
+    size = chosen([jnp.float32(b) for b in actions.payload_bytes], action)
+    predicted_m, delay_s, energy_j, residual_m, rest_s = (
+        chosen([values[a] for a in every], action)
+        for values in (slot.predicted_m, slot.delay_s, params.control.energy_j, seen.realised_m, slot.latency_s)
+    )
+    measured_m = [chosen([slot.residual_m[a, axis] for a in every], action) for axis in (0, 1)]
+    value_m = net_voi(risk_m, predicted_m, size, slot.rate_bps, delay_s, energy_j, params.control.prices)
+    latency_s = transmit_s(size, slot.rate_bps) + rest_s
+    return Request(size, latency_s, measured_m, predicted_m, delay_s, energy_j, residual_m, value_m)
+
+
+def respond(
+    state: State, slot: Slot, seen: Observation, decision: Decision, params: ControlParams, actions: ActionSet
+) -> tuple[State, SlotInfo]:
+    """Send the request that was decided on and let its correction come back.
+
+    Args:
+        state: the client after `observe`.
+        slot: what the world brings.
+        seen: what the client saw.
+        decision: what it decided.
+        params: environment and controller.
+        actions: the action set (static).
+
+    Returns:
+        The client at the end of the slot, and what happened.
+    """
+
+    def request_of(action: jax.Array, risk_m: jax.Array) -> Request:
+        return request_with(action, risk_m, slot, seen, params, actions)
+
+    def fuse(before: Belief, measured_m: list[jax.Array], predicted_m: jax.Array) -> Belief:
+        return belief.correct(before, measured_m[0], measured_m[1], predicted_m, params.control.gate_sigma)
+
+    send, action = decision
+    running = slot.number >= 0
+    request = computed_once(running, request_of, action, seen.risk_m)
+    corrected = computed_once(running, fuse, state.belief, request.measured_m, request.predicted_m)
+    lost = request.latency_s > params.env.timeout_s
+    coming = belief.select(lost, state.belief, corrected)
+    flight = jnp.floor(jnp.minimum(request.latency_s, params.env.timeout_s) / params.env.slot_s).astype(jnp.int32)
+    now = belief.select(send & (flight == 0), coming, state.belief)
+    paid = jnp.where(send, request.payload_bytes, 0.0)
+    after = State(
+        belief=now,
+        pending=belief.select(send, coming, state.pending),
+        flight=jnp.where(send, flight, state.flight),
+        since=jnp.where(send, 0, state.since),
+        sent_bytes=state.sent_bytes + paid,
+        used_j=state.used_j + jnp.where(send, request.energy_j, 0.0),
+    )
+    info = SlotInfo(
+        error_m=belief.error_m(now),
+        risk_before_m=seen.risk_m,
+        risk_m=belief.local_risk_m(now),
+        sent=send,
+        action=action,
+        payload_bytes=paid,
+        voi_m=request.voi_m,
+        delay_s=request.delay_s,
+        latency_s=request.latency_s,
+        residual_m=request.residual_m,
+        rate_bps=slot.rate_bps,
+    )
+    return after, info

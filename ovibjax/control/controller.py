@@ -1,0 +1,116 @@
+"""What a request may cost a client: prices, thresholds, budgets (paper, Section "View-Rate Selection").
+
+A client that asks the edge for its position pays in transmission, energy and delay. These numbers say at which exchange
+rates, from which gain on, and how much it may spend on a route.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from ovibjax.control.actions import ActionSet
+from ovibjax.control.voi import Prices
+
+PAPER_BUDGET_KB = 2.1
+"""Payload per route, KB of 1,024 bytes (paper, Section "View-Rate Selection")."""
+
+PERIODIC_S = 16.0
+"""Periodic sends a request this often (paper, same section, as the next four)."""
+
+FIXED_FRONT_RISK_M, FIXED_FRONT_GAP_S = 8.0, 1.0
+"""Fixed-front asks above this local risk, with this minimum gap."""
+
+UNCERTAINTY_RISK_M, UNCERTAINTY_GAP_S = 6.0, 6.0
+"""Uncertainty asks above this local risk, with this minimum gap."""
+
+LAMBDA_B_M_PER_S, LAMBDA_D_M_PER_S, THRESHOLD_M, MIN_GAP_S = 117.0, 29.0, 0.27, 9.5
+"""VOI-Control's prices of transmission and delay, its threshold and its gap. The paper publishes none: these are what
+the tuning seeds of the full preset selected."""
+
+GATE_SIGMA = 3.0
+"""Innovation gate of corrections; an assumption."""
+
+
+class FixedRules(NamedTuple):
+    """Numbers of the policies that follow a fixed rule; leaves.
+
+    Attributes:
+        period_s: Periodic asks this often.
+        fixed_front_risk_m: Fixed-front asks above this risk ...
+        fixed_front_gap_s: ... and not sooner after the last request.
+        uncertainty_risk_m: Uncertainty asks above this risk ...
+        uncertainty_gap_s: ... and not sooner after the last request.
+    """
+
+    period_s: Any
+    fixed_front_risk_m: Any
+    fixed_front_gap_s: Any
+    uncertainty_risk_m: Any
+    uncertainty_gap_s: Any
+
+
+class Controller(NamedTuple):
+    """Numbers of the controller; leaves.
+
+    Attributes:
+        prices: lambda_b, lambda_e, lambda_d.
+        threshold_m: VOI-Control asks only if the net VOI exceeds this.
+        min_gap_s: shortest time between two requests of VOI-Control.
+        budget_bytes: payload allowed over the route.
+        energy_j: [A] endpoint energy E(a) of each action.
+        energy_budget_j: energy allowed over the route.
+        available: [A] bool, actions that may be chosen.
+        gate_sigma: innovation gate of corrections, see `belief.correct`.
+        rules: numbers of the other policies.
+    """
+
+    prices: Prices
+    threshold_m: Any
+    min_gap_s: Any
+    budget_bytes: Any
+    energy_j: Any
+    energy_budget_j: Any
+    available: Any
+    gate_sigma: Any
+    rules: FixedRules
+
+
+def make_controller(
+    actions: ActionSet,
+    bandwidth_m_per_s: float = LAMBDA_B_M_PER_S,
+    delay_m_per_s: float = LAMBDA_D_M_PER_S,
+    threshold_m: float = THRESHOLD_M,
+    min_gap_s: float = MIN_GAP_S,
+    budget_kb: float = PAPER_BUDGET_KB,
+) -> Controller:
+    """A controller with the paper's rules, no price on energy, and every action available.
+
+    Args:
+        actions: the action set.
+        bandwidth_m_per_s: lambda_b.
+        delay_m_per_s: lambda_d.
+        threshold_m: net VOI above which VOI-Control asks.
+        min_gap_s: shortest time between its requests.
+        budget_kb: payload per route, KB of 1,024 bytes.
+
+    Returns:
+        Float32 leaves.
+    """
+    number = jnp.float32
+    return Controller(
+        prices=Prices(number(bandwidth_m_per_s), number(0.0), number(delay_m_per_s)),
+        threshold_m=number(threshold_m),
+        min_gap_s=number(min_gap_s),
+        budget_bytes=number(budget_kb * 1024.0),
+        energy_j=jnp.zeros(len(actions), jnp.float32),
+        energy_budget_j=number(jnp.inf),
+        available=jnp.ones(len(actions), bool),
+        gate_sigma=number(GATE_SIGMA),
+        rules=FixedRules(
+            period_s=number(PERIODIC_S),
+            fixed_front_risk_m=number(FIXED_FRONT_RISK_M),
+            fixed_front_gap_s=number(FIXED_FRONT_GAP_S),
+            uncertainty_risk_m=number(UNCERTAINTY_RISK_M),
+            uncertainty_gap_s=number(UNCERTAINTY_GAP_S),
+        ),
+    )
