@@ -24,3 +24,16 @@ def unreadable(path: StrPath, what: str, error: BaseException) -> InputError:
     """A refusal that quotes the beginning of the underlying error."""
     text = " ".join(str(error).split())[:120]
     return refusal(path, f"{what} ({type(error).__name__}{': ' if text else ''}{text})")
+
+
+def one_line(error: BaseException, at_most: int | None = None) -> str:
+    """What an error says, without line breaks, for a message that quotes it.
+
+    Args:
+        error: anything that was raised.
+        at_most: characters.
+
+    Returns:
+        The text; the name of its type where it says nothing.
+    """
+    return " ".join(str(error).split())[:at_most] or type(error).__name__

@@ -11,28 +11,24 @@ import logging
 import os
 import re
 import socket
-import sys
-import sysconfig
 import warnings
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import jax
 import numpy as np
 
-import ovibjax
-from ovibjax.errors import InputError
+from ovibjax.errors import InputError, one_line
 from ovibjax.sweep.engine import Executor
 from ovibjax.sweep.grid import PADDING
 from ovibjax.sweep.layout import Layout, digest
-from ovibjax.sweep.store import Store, attach
+from ovibjax.sweep.pickling import by_value
+from ovibjax.sweep.store import attach
 from ovibjax.sweep.work import Block, Work
+from ovibjax.sweep.worker import Assignment, compute_chunk
 
 # A chunk whose worker dies this often is given up, ...
 _ATTEMPTS = 3
@@ -48,25 +44,6 @@ _JAX_SETTINGS = (
     "jax_default_prng_impl",
     "jax_threefry_partitionable",
 )
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What a worker needs to know, small and hashable.
-
-    Attributes:
-        work: reference to the work in Ray's object store.
-        store: the store and the digest of its configuration; None to send arrays back.
-        environment: version of jax and platform, which must be the same.
-        program: hash of the program's text.
-        settings: jax's configuration.
-    """
-
-    work: Any
-    store: tuple[str, str] | None
-    environment: tuple[str, str]
-    program: str
-    settings: tuple[tuple[str, Any], ...]
 
 
 def on_ray(address: str | None = None, workers: int | None = None) -> Executor:
@@ -103,37 +80,40 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Executor:
     return compute
 
 
-def _compute(
-    ray: Any, work: Work, pending: Sequence[int], path: Path | None, at_once: int
-) -> Iterator[tuple[int, Block | None]]:
-    with _by_value(ray.cloudpickle):
+def _assignment(ray: Any, work: Work, path: Path | None) -> Assignment:
+    """What workers are told; the work itself goes into Ray's object store."""
+    with by_value(ray.cloudpickle):
         held = ray.put(work)
     where = None if path is None else str(path.absolute())
-    job = _Job(
+    return Assignment(
         held,
         None if where is None else (where, digest(attach(where).config)),
         (jax.__version__, jax.default_backend()),
         work.program.text_hash,
         tuple((name, getattr(jax.config, name)) for name in _JAX_SETTINGS),
     )
-    # A worker is lost with its process, its node, or the arrays that it has not yet sent. Ray does not repeat tasks
+
+
+def _compute(
+    ray: Any, work: Work, pending: Sequence[int], path: Path | None, at_once: int
+) -> Iterator[tuple[int, Block | None]]:
+    """Chunks as workers finish them; those whose worker died are tried again, after all others."""
+    assignment = _assignment(ray, work, path)
+    # Ray would end the process after every task on a GPU, and its compiled program with it. It does not repeat tasks
     # itself: it would for ever where memory runs out.
-    errors = ray.exceptions
-    lost = (errors.WorkerCrashedError, errors.OutOfMemoryError, errors.NodeDiedError, errors.ObjectLostError)
-    # Ray would end the process after every task on a GPU, and its compiled program with it.
-    task = ray.remote(max_calls=0, max_retries=0, num_cpus=1, **_resources(work))(_chunk)
+    task = ray.remote(max_calls=0, max_retries=0, num_cpus=1, **_resources(work))(compute_chunk)
     queue, running, deaths, finished = deque(pending), dict[Any, int](), Counter[int](), False
     try:
         while queue or running:
             while queue and len(running) < at_once:
-                running[task.remote(job, queue[0])] = queue[0]
+                running[task.remote(assignment, queue[0])] = queue[0]
                 queue.popleft()
             # A short wait, so that Ctrl-C is noticed between results.
             for ref in ray.wait(list(running), timeout=0.5)[0]:
                 i = running.pop(ref)
                 try:
-                    block = ray.get(ref)
-                except lost:
+                    block = _result(ray, ref)
+                except _WorkerDied:
                     deaths[i] += 1
                     if deaths[i] < _ATTEMPTS:
                         queue.append(i)  # last, as others may have taken the memory
@@ -143,13 +123,7 @@ def _compute(
                             f"{_members(work.layout, i)}"
                         ) from None
                     continue
-                except errors.RayTaskError as error:
-                    raise error.cause from None  # without Ray's account of the worker's stack
-                except errors.RayError as error:
-                    raise InputError(f"Ray cannot run a worker: {_line(error)}") from None
                 finished = True
-                if block is not None:  # copied out of memory that Ray shares and takes back
-                    block = Block({name: np.array(v) for name, v in block.arrays.items()}, np.array(block.diverged))
                 yield i, block
         deadly = [i for i, count in deaths.items() if count >= _ATTEMPTS]
         if deadly:
@@ -164,6 +138,32 @@ def _compute(
             ray.cancel(ref, force=True)
         if running:
             ray.wait(list(running), num_returns=len(running), timeout=10)
+
+
+class _WorkerDied(Exception):
+    """A worker was lost with its process, its node, or the arrays that it had not yet sent."""
+
+
+def _result(ray: Any, ref: Any) -> Block | None:
+    """What a task sent back: a chunk, or None if it stored the chunk itself.
+
+    Raises:
+        _WorkerDied: the chunk may be tried again.
+        InputError: Ray cannot run a worker at all.
+    """
+    errors = ray.exceptions
+    try:
+        block = ray.get(ref)
+    except (errors.WorkerCrashedError, errors.OutOfMemoryError, errors.NodeDiedError, errors.ObjectLostError):
+        raise _WorkerDied from None
+    except errors.RayTaskError as error:
+        raise error.cause from None  # without Ray's account of the worker's stack
+    except errors.RayError as error:
+        raise InputError(f"Ray cannot run a worker: {one_line(error, 300)}") from None
+    if block is None:
+        return None
+    # Copied out of memory that Ray shares and takes back.
+    return Block({name: np.array(values) for name, values in block.arrays.items()}, np.array(block.diverged))
 
 
 @contextmanager
@@ -190,7 +190,7 @@ def _connected(ray: Any, address: str | None, workers: int | None) -> Iterator[N
                 ray.init(**options)
         except Exception as error:
             named = "Ray cannot start" if address is None else f"no Ray cluster answers at {address}"
-            raise InputError(f"{named} ({_line(error)})") from None
+            raise InputError(f"{named} ({one_line(error, 300)})") from None
         yield
     finally:
         ray.shutdown()
@@ -211,74 +211,6 @@ def _resources(work: Work) -> dict[str, Any]:
     return {"runtime_env": {"env_vars": variables}}
 
 
-@contextmanager
-def _by_value(cloudpickle: Any) -> Iterator[None]:
-    """Pickle functions whole, not by name, if workers may not find their module: cards, scripts, their helpers."""
-    roots = [sysconfig.get_path("stdlib"), str(Path(ovibjax.__file__).parent)]
-    roots += [folder for folder in sys.path if folder and any(Path(folder).glob("*.dist-info"))]
-
-    def importable(name: str, module: ModuleType) -> bool:
-        file, parent = vars(module).get("__file__"), name.rpartition(".")[0]
-        return not file or (
-            file.startswith(tuple(f"{root}{os.sep}" for root in roots)) and parent in {"", *sys.modules}
-        )
-
-    known = cloudpickle.list_registry_pickle_by_value()
-    modules = [
-        module
-        for name, module in list(sys.modules.items())
-        if isinstance(module, ModuleType) and module.__name__ == name and name not in known
-        if not importable(name, module)
-    ]
-    for module in modules:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        yield
-    finally:
-        for module in modules:
-            cloudpickle.unregister_pickle_by_value(module)
-
-
-def _chunk(job: _Job, i: int) -> Block | None:
-    """The task: one chunk, into the store or back."""
-    work, store = _begin(job)
-    block = work.compute(i)
-    if store is None:
-        return block
-    store.write(i, block.arrays, block.diverged)
-    return None
-
-
-@lru_cache(maxsize=1)
-def _begin(job: _Job) -> tuple[Work, Store | None]:
-    """Once per worker process: the work, and the store it writes to."""
-    import ray
-
-    here = f"the worker on {socket.gethostname()}"
-    for name, value in job.settings:
-        jax.config.update(name, value)
-    for what, there, mine in zip(
-        ("jax", "platform"), job.environment, (jax.__version__, jax.default_backend()), strict=True
-    ):
-        if there != mine:
-            raise InputError(f"{here} has {what} {mine} and this process {there}; bits depend on it: make them equal")
-    store = None
-    if job.store is not None:
-        path, config = job.store
-        try:
-            store = attach(path)
-        except InputError as error:
-            raise InputError(
-                f"{here} cannot open the store: {error}; it must be on a file system that all machines share"
-            ) from None
-        if digest(store.config) != config:
-            raise InputError(f"{here} finds another store at {path}; use a file system that all machines share")
-    work: Work = ray.get(job.work)
-    if work.program.text_hash != job.program:
-        raise InputError(f"{here} makes another program of this sweep; install the same software on all machines")
-    return work, store
-
-
 def _members(layout: Layout, chunk: int) -> str:
     """Grid values of a chunk's members."""
     grid, members = layout.grid, layout.chunks.members[chunk]
@@ -288,7 +220,3 @@ def _members(layout: Layout, chunk: int) -> str:
         values = [str(axis.values[k]) for k in np.unique(index[grid.group_of(name)])]
         named.append(f"{name} {', '.join(values if len(values) <= 4 else [values[0], '...', values[-1]])}")
     return "; ".join(named)
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,13 +1,10 @@
 """Run a sweep: one compiled program, chunk after chunk, in memory or into a store that survives a kill.
 
-    dataset = run(fn, {"beta": [1e-4, 1e-3], "gamma": [0, 0.1], "seed": range(5)}, data)
-
 `fn(key, point, shared)` is a pure function of one member. Its key follows the member's `seed` (common random
 numbers: members of equal seed see the same draws), `point` holds its value on every axis, `shared` the data.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +14,9 @@ import xarray
 
 from ovibjax.errors import InputError
 from ovibjax.runtime.threads import in_threads
-from ovibjax.sweep.grid import PADDING, Axis, make_chunks, make_grid
-from ovibjax.sweep.layout import Layout, Variable, assemble, check
+from ovibjax.sweep.grid import PADDING, Axis, Grid, make_chunks, make_grid
+from ovibjax.sweep.in_memory import InMemory
+from ovibjax.sweep.layout import Layout, Variable, check
 from ovibjax.sweep.program import SEED, MemberFn, Shape, choose_shape, trace_member
 from ovibjax.sweep.store import Store, config_of
 from ovibjax.sweep.work import Along, Block, Work, describe
@@ -39,6 +37,8 @@ class Interrupted(KeyboardInterrupt):
         self.dataset = dataset
 
 
+# Many keywords, as each says one thing about a sweep that a caller may leave out; inside they become a layout, a shape
+# and a configuration at once.
 def run(
     fn: MemberFn,
     axes: Mapping[str, Any],
@@ -81,69 +81,94 @@ def run(
     Raises:
         InputError: bad axes, data that do not fit, or a store that cannot be used.
         Interrupted: Ctrl-C; carries the finished members.
+
+    Example:
+        >>> dataset = run(lambda key, point, data: {"y": point["a"] * data}, {"a": [1.0, 2.0, 3.0]}, 10.0)
+        >>> dataset.y.values.tolist()
+        [10.0, 20.0, 30.0]
     """
     grid = make_grid(axes, zipped)
-    if (chunk is not None and chunk < 1) or (lanes is not None and lanes < 1):
-        raise InputError("chunk and lanes are positive numbers of members")
-    named = shared.axis if isinstance(shared, Along) else SEED
-    if isinstance(shared, Along) and (named not in grid.axes or len(shared.values) != len(grid.axes[named].values)):
-        raise InputError(f"the data differ along axis {named!r}, which has not one entry per value in the grid")
-    outer = grid.group_of(named) if named in grid.axes else None
+    outer = _outer_dimension(grid, shared)
     example = {name: grid.codes(name)[0] for name in grid.axes}
-    one = shared.values[0] if isinstance(shared, Along) else shared
-    outputs, cost = trace_member(fn, example, one)
-    held = config_of(store) if isinstance(store, str | Path) else None
-    for name in {**(dims or {}), **(units or {})}:
-        if name not in outputs:
-            raise InputError(f"dims and units: there is no output {name!r}; there are {', '.join(outputs)}")
-    if SEED in grid.axes and grid.codes(SEED).dtype != np.int32:
-        raise InputError("axis seed: values are whole numbers")
-    if held is not None and chunk is None and lanes is None and "execution" in held:
-        # Chunks as the store has them: memory may have chosen otherwise today, and bits depend on it.
-        shape = Shape(**held["execution"])
-    else:
-        shape = choose_shape(grid, outer, cost, chunk, lanes)
-    if shape.devices > jax.local_device_count():
-        raise InputError(f"{store} was begun on {shape.devices} devices; here are {jax.local_device_count()}")
-    layout = Layout(
-        grid,
-        make_chunks(grid, outer, shape.rows, shape.columns),
-        {name: _variable(name, aval, dims or {}, units or {}) for name, aval in outputs.items()},
-        {
-            name: axis if isinstance(axis, Axis) else Axis(np.asarray(axis).tolist())
-            for name, axis in (coords or {}).items()
-        },
-    )
+    outputs, cost = trace_member(fn, example, shared.values[0] if isinstance(shared, Along) else shared)
+    variables = _variables(outputs, dims or {}, units or {})
+    shape = _shape(grid, outer, cost, chunk, lanes, store if isinstance(store, str | Path) else None)
+    layout = Layout(grid, make_chunks(grid, outer, shape.rows, shape.columns), variables, _axes(coords or {}))
     check(layout)
     work = Work(fn, layout, shape, shared)
     config = describe(work, dict(settings or {}))
-    if callable(store):
-        store = store(config)
-    with ExitStack() as stack:
-        kept = stack.enter_context(Store.open(store, layout, config)) if store is not None else None
-        blocks: dict[int, Block] = {}
-        done = kept.finished() if kept is not None else np.zeros(len(layout.chunks.members), bool)
-        real = (layout.chunks.members != PADDING).sum(axis=(1, 2))
-        pending = np.flatnonzero(~done).tolist()
-        compute = executor or _in_process
-        interrupted = False
-        try:
-            if on_progress is not None:
-                on_progress(int(real[done].sum()), grid.size)
-            for i, block in compute(work, pending, kept.path if kept is not None else None):
-                if block is not None and kept is not None:
-                    kept.write(i, block.arrays, block.diverged)
-                elif block is not None:
-                    blocks[i] = block
-                done[i] = True
-                if on_progress is not None:
-                    on_progress(int(real[done].sum()), grid.size)
-        except KeyboardInterrupt:
-            interrupted = True
-        dataset = kept.dataset() if kept is not None else _gather(layout, blocks, config)
-    if interrupted:
+    path = store(config) if callable(store) else store
+    with InMemory(layout, config) if path is None else Store.open(path, layout, config) as kept:
+        complete = _finish(work, kept, executor or _in_process, on_progress or (lambda done, total: None))
+        dataset = kept.dataset()
+    if not complete:
         raise Interrupted(dataset)
     return dataset
+
+
+def _outer_dimension(grid: Grid, shared: Any) -> int | None:
+    """Position of the dimension that data differ along, the seed's where they do not; None if there is none."""
+    if SEED in grid.axes and grid.codes(SEED).dtype != np.int32:
+        raise InputError("axis seed: values are whole numbers")
+    if not isinstance(shared, Along):
+        return grid.group_of(SEED) if SEED in grid.axes else None
+    if shared.axis not in grid.axes or len(shared.values) != len(grid.axes[shared.axis].values):
+        raise InputError(f"the data differ along axis {shared.axis!r}, which has not one entry per value in the grid")
+    return grid.group_of(shared.axis)
+
+
+def _shape(
+    grid: Grid, outer: int | None, cost: tuple[int, int], chunk: int | None, lanes: int | None, store: str | Path | None
+) -> Shape:
+    """Size of a chunk: what the caller says, what a store was begun with, or what memory allows."""
+    if (chunk is not None and chunk < 1) or (lanes is not None and lanes < 1):
+        raise InputError("chunk and lanes are positive numbers of members")
+    held = config_of(store) if store is not None else None
+    if held is None or chunk is not None or lanes is not None or "execution" not in held:
+        return choose_shape(grid, outer, cost, chunk, lanes)
+    # Chunks as the store has them: memory may have chosen otherwise today, and bits depend on it.
+    shape = Shape(**held["execution"])
+    if shape.devices > jax.local_device_count():
+        raise InputError(f"{store} was begun on {shape.devices} devices; here are {jax.local_device_count()}")
+    return shape
+
+
+def _variables(
+    outputs: Mapping[str, Any], dims: Mapping[str, Sequence[str]], units: Mapping[str, str]
+) -> dict[str, Variable]:
+    """Outputs with names for their trailing dimensions, the caller's or made ones."""
+    for name in {**dims, **units}:
+        if name not in outputs:
+            raise InputError(f"dims and units: there is no output {name!r}; there are {', '.join(outputs)}")
+    return {name: _variable(name, aval, dims.get(name, ()), units.get(name, "")) for name, aval in outputs.items()}
+
+
+def _variable(name: str, aval: Any, dims: Sequence[str], unit: str) -> Variable:
+    named = tuple(dims)
+    if len(named) > len(aval.shape):
+        raise InputError(f"output {name} has shape {aval.shape}; dims names {len(named)} dimensions")
+    named += tuple(f"{name}_dim_{i}" for i in range(len(named), len(aval.shape)))
+    return Variable(tuple(aval.shape), np.dtype(aval.dtype), named, unit)
+
+
+def _axes(coords: Mapping[str, Any]) -> dict[str, Axis]:
+    return {name: axis if isinstance(axis, Axis) else Axis(np.asarray(axis).tolist()) for name, axis in coords.items()}
+
+
+def _finish(work: Work, kept: Store | InMemory, compute: Executor, on_progress: Callable[[int, int], None]) -> bool:
+    """Compute and keep the chunks that are not finished; False if Ctrl-C came before the last."""
+    done = kept.finished()
+    real = (work.layout.chunks.members != PADDING).sum(axis=(1, 2))
+    try:
+        on_progress(int(real[done].sum()), work.layout.grid.size)
+        for i, block in compute(work, np.flatnonzero(~done).tolist(), kept.path):
+            if block is not None:
+                kept.write(i, block.arrays, block.diverged)
+            done[i] = True
+            on_progress(int(real[done].sum()), work.layout.grid.size)
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def _in_process(work: Work, pending: Sequence[int], _: Path | None) -> Iterator[tuple[int, Block]]:
@@ -155,25 +180,3 @@ def _in_process(work: Work, pending: Sequence[int], _: Path | None) -> Iterator[
     if work.shape.devices > 1:
         return map(one, pending)
     return in_threads(one, pending)
-
-
-def _variable(name: str, aval: Any, dims: Mapping[str, Sequence[str]], units: Mapping[str, str]) -> Variable:
-    named = tuple(dims.get(name, ()))
-    if len(named) > len(aval.shape):
-        raise InputError(f"output {name} has shape {aval.shape}; dims names {len(named)} dimensions")
-    named += tuple(f"{name}_dim_{i}" for i in range(len(named), len(aval.shape)))
-    return Variable(tuple(aval.shape), np.dtype(aval.dtype), named, units.get(name, ""))
-
-
-def _gather(layout: Layout, blocks: dict[int, Block], config: dict[str, Any]) -> xarray.Dataset:
-    order = sorted(blocks)
-
-    def read(name: str) -> np.ndarray:
-        parts = [blocks[i].diverged if name == "diverged" else blocks[i].arrays[name] for i in order]
-        variable = layout.variables.get(name, Variable((), np.dtype(bool), ()))
-        size = layout.chunks.members[0].size
-        if not parts:
-            return np.empty((0, size, *variable.shape), variable.dtype)
-        return np.stack(parts).reshape(len(parts), size, *variable.shape)
-
-    return assemble(layout, order, read, config)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from ovibjax.errors import InputError
-from ovibjax.sweep import cluster
+from ovibjax.sweep import cluster, worker
 from ovibjax.sweep.cluster import on_ray
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.store import open_dataset
@@ -174,10 +174,10 @@ def test_store_that_workers_do_not_see(tmp_path, workers, monkeypatch):
 
 
 def test_other_software(workers):
-    job = cluster._Job(None, None, ("0.4.1", "cpu"), "", ())
-    assert "has jax " in refused(lambda: cluster._begin(job))
-    job = cluster._Job(None, None, (jax.__version__, "gpu"), "", ())
-    assert "has platform cpu" in refused(lambda: cluster._begin(job))
+    assignment = worker.Assignment(None, None, ("0.4.1", "cpu"), "", ())
+    assert "has jax " in refused(lambda: worker.begin(assignment))
+    assignment = worker.Assignment(None, None, (jax.__version__, "gpu"), "", ())
+    assert "has platform cpu" in refused(lambda: worker.begin(assignment))
 
 
 def test_bad_address(monkeypatch):
