@@ -1,0 +1,84 @@
+"""Scheduling rules under congestion as pictures, beside the paper's numbers."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from ovibjax.cards.congestion_study import LOADS, SPREADS_S, Congestion
+from ovibjax.cards.scheduling_drawing import COLOURS, NAMES
+from ovibjax.report import figures as fig
+from ovibjax.report import panels
+from ovibjax.report.claims import interval
+from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
+
+PAPER_TOP = {
+    "edge_p95_ms": {"voi_lyapunov": 32.8, "base_dpp": 137.7, "maxweight": 142.4},
+    "e2e_p95_ms": {"voi_lyapunov": 88.5, "base_dpp": 193.0, "maxweight": 198.0},
+    "cost": {"voi_lyapunov": 1.12, "base_dpp": 1.82, "maxweight": 1.87},
+    "stale_m": {"voi_lyapunov": 0.012, "base_dpp": 0.022, "maxweight": 0.022},
+}
+"""The paper's top decile at high congestion, by metric and rule."""
+
+PAPER_ALL_EDGE_MS = {"voi_lyapunov": 185.7, "base_dpp": 232.5, "maxweight": 217.8, "fifo": 93.2, "edf": 106.7}
+"""The paper's edge p95 of all requests at high congestion."""
+
+
+def draw_cost(ax: Axes, found: Congestion) -> None:
+    """Weighted cost of the top decile by rule, at high congestion."""
+    rows = []
+    for policy, name in NAMES.items():
+        span = interval(found.at(policy, "top10", "cost"))
+        rows.append(panels.Bar(name, span, COLOURS[policy], PAPER_TOP["cost"].get(policy), f"{span.mean:.2f}"))
+    panels.bars(ax, rows, inside=True)
+    ax.set(xlabel="weighted cost, top decile")
+    ax.legend(loc="upper right")
+
+
+def draw_edge(ax: Axes, found: Congestion) -> None:
+    """Edge p95 by rule at high congestion, of the top decile and of all requests."""
+    for row, policy in enumerate(NAMES):
+        for scope, place, alpha, paper in (
+            ("top10", row - 0.19, 1.0, PAPER_TOP["edge_p95_ms"]),
+            ("all", row + 0.19, 0.45, PAPER_ALL_EDGE_MS),
+        ):
+            span = interval(found.at(policy, scope, "edge_p95_ms"))
+            look: dict[str, Any] = {"color": COLOURS[policy], "alpha": alpha, "error_kw": {"lw": 1, "capsize": 2}}
+            ax.barh(place, span.mean, xerr=span.cap, height=0.36, **look)
+            if policy in paper:
+                panels.paper_tick(ax, paper[policy], place, 7)
+            ax.text(span.mean + span.cap, place, f" {span.mean:.0f}", va="center", fontsize=6)
+    panels.category_axis(ax, list(NAMES.values()))
+    ax.set(xlabel="edge p95 (ms): solid top decile, pale all requests")
+
+
+def draw_levels(ax: Axes, found: Congestion) -> None:
+    """Edge p95 of the top decile by congestion level, a line per rule."""
+    x = np.arange(len(LEVELS))
+    for policy in NAMES:
+        spans = [interval(found.at(policy, "top10", "edge_p95_ms", level)) for level in LEVELS]
+        width = {"base_dpp": 4.5, "maxweight": 2.6}.get(policy, 1.2)  # these may lie under FIFO
+        means, caps = [s.mean for s in spans], [s.cap for s in spans]
+        look: dict[str, Any] = {"color": COLOURS[policy], "label": NAMES[policy], "lw": width}
+        ax.errorbar(x, means, caps, fmt="o-", ms=3.5, capsize=2, **look)
+    ax.set_xticks(x, [f"{name}\nN = {n}, {rate:g} KB/s" for name, (n, rate) in LEVELS.items()])
+    ax.set(ylabel="edge p95, top decile (ms)")
+    ax.set_ylim(bottom=0)
+    ax.legend(loc="upper left")
+
+
+def draw_sensitivity(ax: Axes, found: Congestion) -> None:
+    """Reduction of Base-DPP's edge p95 of the top decile by VOI-Lyapunov, over phase spread and number of clients."""
+    voi, base = (np.asarray(found.varied[p].top.edge_p95_ms, np.float64)[..., 0] for p in ("voi_lyapunov", "base_dpp"))
+    reduction = (100.0 * (base - voi) / base).reshape(len(SPREADS_S), len(LOADS), -1)
+    for i, load in enumerate(LOADS):
+        curve = reduction[:, i].T
+        colour = (fig.SKY, fig.GREEN, fig.BLUE, fig.RED)[i]
+        mean, half = fig.mean_and_half(curve)
+        ax.fill_between(SPREADS_S, mean - half, mean + half, color=colour, alpha=0.18, lw=0)
+        ax.plot(SPREADS_S, mean, "o-", ms=3, color=colour, label=f"N = {load}")
+    ax.axhline(0, color="black", lw=0.8)
+    ax.axvline(PHASE_SPREAD_S, color="black", lw=0.8, ls=":")
+    ax.set(xlabel="phase spread (s)", ylabel="reduction of edge p95 (%)", xscale="log")
+    fig.plain_log_ticks(ax.xaxis)
+    ax.legend(loc="upper right", ncols=2)

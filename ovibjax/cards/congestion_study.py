@@ -1,0 +1,61 @@
+"""Scheduling rules under congestion: the paper's three levels over V, and other loads and phase spreads."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ovibjax.cards.scheduling_study import PAPER_V, VS, metric_of, paper_cases
+from ovibjax.control.policy_study import seeds_to_keys
+from ovibjax.scheduling.clients import Events, ReplayMetrics, default_trace_params
+from ovibjax.scheduling.congestion import LEVELS, Case, compare
+from ovibjax.scheduling.rules import default_params
+
+SPREADS_S = (0.27, 0.54, 1.08, 2.16, 4.32)
+LOADS = (10, 20, 30, 45)
+
+
+@dataclass(frozen=True)
+class Congestion:
+    """Metrics of the rules under congestion, on the host.
+
+    Attributes:
+        levels: [levels, seeds, V] by policy.
+        varied: [spreads x loads, seeds, 1] by policy, at 4 KB/s.
+        requests: requests per client.
+    """
+
+    levels: dict[str, ReplayMetrics]
+    varied: dict[str, ReplayMetrics]
+    requests: int
+
+    def at(self, policy: str, scope: str, metric: str, level: str = "high") -> np.ndarray:
+        """[seeds] a metric at the paper's V."""
+        return metric_of(self.levels[policy], scope, metric)[list(LEVELS).index(level), :, PAPER_V]
+
+
+def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) -> Congestion:
+    """Replay every rule at the paper's congestion levels over V, and some at other loads and phase spreads.
+
+    Args:
+        events: recorded requests of one client.
+        seeds: scheduler seeds.
+        sensitivity_seeds: how many of them, from the first, the other loads and spreads are replayed with.
+
+    Returns:
+        Metrics on the host.
+    """
+    params, trace = default_params(), default_trace_params()
+    keys, by_v = seeds_to_keys(seeds), params._replace(V=jnp.array(VS, jnp.float32))
+    most = max(clients for clients, _ in LEVELS.values())
+    levels = compare(keys, events, paper_cases(*LEVELS), trace, by_v, most)
+    places = [(load, spread) for spread in SPREADS_S for load in LOADS]
+    cases = Case(
+        jnp.array([load for load, _ in places]),
+        jnp.full(len(places), LEVELS["high"][1], jnp.float32),
+        jnp.array([spread for _, spread in places], jnp.float32),
+    )
+    rivals = ("voi_lyapunov", "base_dpp", "fifo")
+    varied = compare(keys[:sensitivity_seeds], events, cases, trace, params, max(LOADS), rivals)
+    return Congestion(jax.device_get(levels), jax.device_get(varied), int(events.valid.sum()))

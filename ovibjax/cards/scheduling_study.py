@@ -1,0 +1,55 @@
+"""What the cards of edge scheduling share: recorded requests, the paper's congestion, values of V, metrics by scope."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from ovibjax.cards.control_results import representative, representative_replay, study
+from ovibjax.cards.job import Job
+from ovibjax.scheduling.clients import Events, GroupMetrics, ReplayMetrics
+from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case, recorded_events
+
+VS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Values of V that Base-DPP is run with."""
+
+PAPER_V = VS.index(8.0)
+"""Position of the paper's V among them."""
+
+SCOPES = ("top10", "all")
+"""Requests that are judged: the tenth with the largest scheduling value, and all."""
+
+PAIRED = "paired 95 % interval above zero"
+"""How the cards of scheduling word the rule of a paired comparison."""
+
+
+def events_of(job: Job) -> Events:
+    """VOI-Control's requests on the held-out route of the representative seed; what every client replays."""
+    found = study(job)
+    context = found.routes.context[representative(found)]
+    drift = np.asarray(found.env.drift_m2_per_s)
+    return recorded_events(representative_replay(found), context, drift, found.scene.actions)
+
+
+def paper_cases(*levels: str) -> Case:
+    """The paper's congestion, one case per name of `LEVELS`."""
+    clients, rates = zip(*(LEVELS[level] for level in levels), strict=True)
+    return Case(jnp.array(clients), jnp.array(rates, jnp.float32), jnp.full(len(clients), PHASE_SPREAD_S, jnp.float32))
+
+
+def metric_of(found: ReplayMetrics, scope: str, metric: str) -> np.ndarray:
+    """One metric of a group of requests.
+
+    Args:
+        found: metrics on the host.
+        scope: one of `SCOPES`.
+        metric: a field of `GroupMetrics`.
+
+    Returns:
+        [cases, seeds, settings of the rule].
+    """
+    group = found.top if scope == "top10" else found.every
+    return np.asarray(getattr(group, metric), np.float64)
+
+
+def metric_columns(found: ReplayMetrics, scope: str, at: tuple[int, int, int]) -> dict[str, float]:
+    """Every metric of a group of requests at one place (case, seed, setting), as columns of a table."""
+    return {metric: float(metric_of(found, scope, metric)[at]) for metric in GroupMetrics._fields}
