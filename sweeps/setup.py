@@ -19,8 +19,10 @@ from ovibjax.report.claims import HELD, REPORTED, Claim, write_claims
 from ovibjax.report.panels import sheet
 from ovibjax.report.rows import write_rows
 from ovibjax.views import VIEWS
-from ovibjax.world.town.files import CONTEXT_COLOURS, render_frames
-from ovibjax.world.town.layout import Route, TownConfig, make_town
+from ovibjax.world.town.layout import TownConfig, make_town
+from ovibjax.world.town.picture import CONTEXT_COLOURS
+from ovibjax.world.town.render import render_frames
+from ovibjax.world.town.route import Route
 
 TITLE = "The data"
 MAX_PICTURES = 12

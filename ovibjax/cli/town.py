@@ -23,8 +23,9 @@ class Town:
     def run(self) -> None:
         """Run the command."""
         from ovibjax.runtime.progress import progress_bar
-        from ovibjax.world.town.files import contact_sheet, write_frames
+        from ovibjax.world.town.files import write_frames
         from ovibjax.world.town.layout import TownConfig
+        from ovibjax.world.town.picture import contact_sheet
 
         for name, value in (("frames", self.frames), ("seed", self.seed), ("route", self.route)):
             if value < 0:

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ovibjax.features.backbones.image_encoder import Backbone, fingerprint, padded_batches
+from ovibjax.features.backbones.image_encoder import Backbone, fingerprint
 from ovibjax.features.backbones.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed, embedded_backbone
+from ovibjax.runtime.batches import padded_batches
 
 _BATCH = 80  # images per call: enough to fill the vector units, little to waste on padding
 

@@ -1,7 +1,7 @@
 """What every image backbone Φ is: preprocessing and embedding under one name (paper, "Feature Extraction")."""
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,21 +92,6 @@ def normalise(
     """
     scaled = (rgb / 255.0 - np.array(mean)) / np.array(std)
     return np.ascontiguousarray(scaled.transpose(2, 0, 1) if layout == "nchw" else scaled, np.float32)
-
-
-def padded_batches(inputs: NDArray[np.float32], size: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    """Cut inputs into batches of one size; the last repeats its last input.
-
-    Args:
-        inputs: [B, ...], B at least 1.
-        size: inputs per batch.
-
-    Yields:
-        Number of inputs that count, and the batch [size, ...].
-    """
-    for start in range(0, len(inputs), size):
-        batch = inputs[start : start + size]
-        yield len(batch), np.concatenate([batch, np.repeat(batch[-1:], size - len(batch), axis=0)])
 
 
 def fingerprint(*parts: bytes | str) -> str:

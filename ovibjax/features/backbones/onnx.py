@@ -24,9 +24,9 @@ from ovibjax.features.backbones.image_encoder import (
     BackboneOptions,
     fingerprint,
     normalise,
-    padded_batches,
     resize_and_crop,
 )
+from ovibjax.runtime.batches import padded_batches
 
 SIDE_KEYS = ("size", "layout", "mean", "std", "output")
 _MAX_SIDE_BYTES = 64 * 1024

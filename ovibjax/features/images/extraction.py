@@ -3,7 +3,6 @@
 import hashlib
 import itertools
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import ovibjax
 from ovibjax.errors import InputError, StrPath, refusal
 from ovibjax.features.backbones.by_name import Backbone
 from ovibjax.features.feature_files import save
-from ovibjax.features.frames import FeatureSet, make_feature_set
+from ovibjax.features.frames import FeatureSet, OnFrames, make_feature_set
 from ovibjax.features.images.decoding import decode_image
 from ovibjax.features.images.journal import Journal
 from ovibjax.features.images.source import MAX_IMAGE_BYTES, Frame, Skipped, Source, describe_skipped, nothing_left
@@ -27,8 +26,6 @@ BATCH_FRAMES = 16
 """Frames per call of the backbone, 80 images for a UAV."""
 _BATCHES_AHEAD = 2  # decoded images waiting; CLIP's inputs take 50 MB a batch
 _SOURCES = ("features.images.decoding", "features.images.extraction")
-
-OnFrames = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

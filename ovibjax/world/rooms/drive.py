@@ -2,18 +2,18 @@
 
 As in the paper's captures the platform visits target poses; at each it turns through the horizontal directions one
 after the other, so the views of a frame are taken from slightly different places. Headings follow the room's axes up to
-a few degrees ("pose-aligned views"). References come from parallel lanes, queries from a free walk of another day.
+a few degrees ("pose-aligned views"). References come from parallel tracks, queries from a free walk of another day.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from ovibjax.world.rays import VIEW_YAW_DEG
 from ovibjax.world.rooms.room import Room, RoomConfig
-from ovibjax.world.town.render import VIEW_YAW_DEG
 
-LANE_GAP_M = 1.25
-"""Distance between reference lanes; set once, before anything was localized, so that the mean distance of a query to
+TRACK_GAP_M = 1.25
+"""Distance between reference tracks; set once, before anything was localized, so that the mean distance of a query to
 its nearest reference lies near the paper's 0.32 m."""
 
 _WALL_CLEARANCE_M = 0.42
@@ -69,7 +69,7 @@ def is_free(
 
 
 def reference_drive(room: Room, config: RoomConfig) -> Drive:
-    """Lanes along the room's length, driven to and fro; stops at equal distances on what is free of furniture.
+    """Tracks along the room's length, driven to and fro; stops at equal distances on what is free of furniture.
 
     Args:
         room: the room.
@@ -79,9 +79,9 @@ def reference_drive(room: Room, config: RoomConfig) -> Drive:
         `config.references` frames.
     """
     half = np.asarray(config.size_m[:2]) / 2 - _WALL_CLEARANCE_M
-    lanes = np.linspace(-half[1], half[1], 1 + max(1, round(2 * half[1] / LANE_GAP_M)))
+    tracks = np.linspace(-half[1], half[1], 1 + max(1, round(2 * half[1] / TRACK_GAP_M)))
     there = np.arange(-half[0], half[0], _STEP_M)
-    path = [np.column_stack([there[:: (-1) ** i], np.full(len(there), y)]) for i, y in enumerate(lanes)]
+    path = [np.column_stack([there[:: (-1) ** i], np.full(len(there), y)]) for i, y in enumerate(tracks)]
     rng = np.random.default_rng([config.seed, config.n_views, 0x201])
     return _stops(rng, room, config, np.concatenate(path), config.references)
 

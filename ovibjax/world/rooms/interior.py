@@ -9,9 +9,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from ovibjax.world.rooms.room import FACES, KINDS, Room
+from ovibjax.world.patterns import Colour
+from ovibjax.world.rays import Vector, enter_box, pinhole_rays
+from ovibjax.world.rooms.furniture import KINDS, lamp_x_m
+from ovibjax.world.rooms.room import FACES, Room
 from ovibjax.world.rooms.shading import Surface, shade_box, shade_shell, wall_coordinates
-from ovibjax.world.town.shading import Colour
 
 _RAYS = 2  # per pixel and axis
 _AMBIENT = 0.42
@@ -19,7 +21,7 @@ _LAMP = 1.15
 _TAPE_M = 0.04
 
 
-def camera_rays(yaw_rad: jax.Array, pitch_rad: jax.Array, height_px: int, width_px: int) -> Colour:
+def camera_rays(yaw_rad: jax.Array, pitch_rad: jax.Array, height_px: int, width_px: int) -> list[jax.Array]:
     """Rays of unit depth through a pinhole camera of 90 degrees.
 
     Args:
@@ -31,15 +33,11 @@ def camera_rays(yaw_rad: jax.Array, pitch_rad: jax.Array, height_px: int, width_
     Returns:
         x, y and z, each [V, H*W], rows from the top.
     """
-    u = (jnp.arange(width_px, dtype=jnp.float32) + 0.5) / width_px * 2 - 1
-    v = (1 - (jnp.arange(height_px, dtype=jnp.float32) + 0.5) / height_px * 2) * (height_px / width_px)
-    right_px, up_px = (grid.ravel() for grid in jnp.meshgrid(u, v))
     cy, sy, cp, sp = jnp.cos(yaw_rad), jnp.sin(yaw_rad), jnp.cos(pitch_rad), jnp.sin(pitch_rad)
     forward = (cp * cy, cp * sy, sp)
     right = (sy, -cy, jnp.zeros_like(cy))
     up = (-sp * cy, -sp * sy, cp)
-    axes = zip(forward, right, up, strict=True)
-    return [f[:, None] + r[:, None] * right_px[None] + w[:, None] * up_px[None] for f, r, w in axes]
+    return pinhole_rays(forward, right, up, height_px, width_px)
 
 
 def render_interior(
@@ -47,7 +45,7 @@ def render_interior(
 ) -> tuple[jax.Array, jax.Array]:
     """Render views of a room.
 
-    The stages are compiled one by one, as in `render.render`: one program would compute each of them again inside
+    The stages are compiled one by one, as in the town's `render`: one program would compute each of them again inside
     every consumer of its result.
 
     Args:
@@ -73,7 +71,7 @@ def render_interior(
 @partial(jax.jit, static_argnames=("height_px", "width_px"))
 def _rays(
     origin_m: jax.Array, yaw_rad: jax.Array, pitch_rad: jax.Array, height_px: int, width_px: int
-) -> tuple[Colour, Colour]:
+) -> tuple[Vector, Vector]:
     ray = camera_rays(yaw_rad, pitch_rad, height_px * _RAYS, width_px * _RAYS)
     return [jnp.broadcast_to(origin_m[:, a, None], ray[a].shape) for a in range(3)], ray
 
@@ -85,8 +83,8 @@ def _surface(
     box_m: jax.Array,
     slot: jax.Array,
     axis: jax.Array,
-    origin: Colour,
-    ray: Colour,
+    origin: Vector,
+    ray: Vector,
 ) -> Surface:
     in_box = box_m < shell_m
     depth_m = jnp.minimum(box_m, shell_m)
@@ -119,7 +117,7 @@ def _compose(
 
 
 @jax.jit
-def _shell(room: Room, origin: Colour, ray: Colour) -> tuple[jax.Array, jax.Array]:
+def _shell(room: Room, origin: Vector, ray: Vector) -> tuple[jax.Array, jax.Array]:
     """Distance to the face of the room that a ray leaves through, and its code."""
     size = room.size_m
     low, high = (-size[0] / 2, -size[1] / 2, 0.0), (size[0] / 2, size[1] / 2, size[2])
@@ -135,26 +133,19 @@ def _shell(room: Room, origin: Colour, ray: Colour) -> tuple[jax.Array, jax.Arra
     return best, face
 
 
-def _slab(row: jax.Array, origin: Colour, ray: Colour) -> tuple[jax.Array, jax.Array]:
-    """Distance at which rays enter a box, infinite where they miss it, and the axis of the side they enter by."""
-    near, far = jnp.full_like(ray[0], -jnp.inf), jnp.full_like(ray[0], jnp.inf)
-    axis = jnp.zeros_like(ray[0], dtype=jnp.int32)
-    for a in range(3):
-        inverse = 1.0 / jnp.where(jnp.abs(ray[a]) < 1e-7, 1e-7, ray[a])
-        one, other = (row[a] - origin[a]) * inverse, (row[3 + a] - origin[a]) * inverse
-        enter = jnp.minimum(one, other)
-        axis = jnp.where(enter > near, a, axis)
-        near, far = jnp.maximum(near, enter), jnp.minimum(far, jnp.maximum(one, other))
-    return jnp.where((near < far) & (near > 1e-3), near, jnp.inf), axis
+def _enter(row: jax.Array, origin: Vector, ray: Vector) -> tuple[jax.Array, jax.Array]:
+    """Distance at which rays enter a piece of furniture, infinite where they miss it, and the axis of that side."""
+    corners = [row[a] for a in range(6)]
+    return enter_box(corners[:3], corners[3:], origin, ray, 1e-3, jnp.inf)
 
 
 @jax.jit
-def _nearest_box(room: Room, origin: Colour, ray: Colour) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _nearest_box(room: Room, origin: Vector, ray: Vector) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Distance, row and entered axis of the first box on each ray."""
     boxes = room.boxes
 
     def step(slot: jax.Array, best: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        distance, axis = _slab(boxes[slot], origin, ray)
+        distance, axis = _enter(boxes[slot], origin, ray)
         closer = distance < best[0]
         return jnp.minimum(best[0], distance), jnp.where(closer, slot, best[1]), jnp.where(closer, axis, best[2])
 
@@ -190,14 +181,14 @@ def _light(room: Room, surface: Surface) -> jax.Array:
     hit, outward, size, boxes = surface.hit, surface.outward, room.size_m, room.boxes
     total = jnp.full_like(hit[0], _AMBIENT)
     start = [h + 2e-3 * n for h, n in zip(hit, outward, strict=True)]
-    for sign in (-1.0, 1.0):
-        lamp = (sign * size[0] / 4, jnp.float32(0.0), size[2] - 0.02)
+    for lamp_x in lamp_x_m(size[0]):
+        lamp = (lamp_x, jnp.float32(0.0), size[2] - 0.02)
         way = [lamp[a] - start[a] for a in range(3)]
         distance = jnp.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
         facing = sum((w * n for w, n in zip(way, outward, strict=True)), jnp.float32(0.0)) / distance
 
-        def shade(slot: jax.Array, dark: jax.Array, way: Colour = way) -> jax.Array:
-            return dark | (_slab(boxes[slot], start, way)[0] < 1.0)
+        def shade(slot: jax.Array, dark: jax.Array, way: Vector = way) -> jax.Array:
+            return dark | (_enter(boxes[slot], start, way)[0] < 1.0)
 
         dark = jax.lax.fori_loop(0, _used(boxes), shade, jnp.zeros_like(distance, dtype=bool))
         strength = jnp.maximum(facing, 0.0) * jnp.maximum(way[2], 0.0) / distance / (0.6 + 0.25 * distance**2)

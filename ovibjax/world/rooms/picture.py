@@ -12,8 +12,9 @@ from matplotlib.patches import Rectangle
 
 from ovibjax.views import VIEWS
 from ovibjax.world.rooms.drive import query_drive, reference_drive
+from ovibjax.world.rooms.furniture import KINDS
 from ovibjax.world.rooms.interior import render_interior
-from ovibjax.world.rooms.room import KINDS, Room, RoomConfig, make_room
+from ovibjax.world.rooms.room import Room, RoomConfig, make_room
 
 _HEIGHT_PX, _WIDTH_PX = 180, 240
 

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ovibjax.world.rooms.room import FACES, KINDS, LOOKS, Room
-from ovibjax.world.town.shading import Colour, noise, stripes
+from ovibjax.world.patterns import Colour, noise, stripes
+from ovibjax.world.rays import Vector
+from ovibjax.world.rooms.furniture import KINDS, LOOKS
+from ovibjax.world.rooms.room import FACES, Room
 
 
 class Surface(NamedTuple):
@@ -30,8 +32,8 @@ class Surface(NamedTuple):
     face: jax.Array
     slot: jax.Array
     axis: jax.Array
-    hit: Colour
-    outward: Colour
+    hit: Vector
+    outward: Vector
 
 
 def wall_coordinates(surface: Surface) -> tuple[jax.Array, jax.Array]:

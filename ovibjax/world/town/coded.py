@@ -3,7 +3,6 @@
 Each frame is kept on its own in the cache folder: an interrupted run goes on, and seeds share frames.
 """
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib import metadata
@@ -15,22 +14,24 @@ from numpy.typing import NDArray
 
 from ovibjax.errors import InputError
 from ovibjax.features.backbones.by_name import Backbone, open_backbone
+from ovibjax.features.frames import OnFrames
 from ovibjax.features.images.codecs import CLIPS, decode, encode, video_missing
 from ovibjax.features.npz import read_npz, write_npz
-from ovibjax.runtime.cache import cache_folder, made_folder, source_code
-from ovibjax.runtime.threads import in_threads
-from ovibjax.world.town.feature_set import SOURCES, OnFrames
-from ovibjax.world.town.files import render_frames
-from ovibjax.world.town.layout import Route, Town, TownConfig, make_town
-from ovibjax.world.town.route import make_route
+from ovibjax.runtime.batches import first_then_threads
+from ovibjax.runtime.cache import cache_folder, made_folder
+from ovibjax.world.feature_cache import content_key
+from ovibjax.world.town.feature_set import SOURCES
+from ovibjax.world.town.layout import Town, TownConfig, make_town
+from ovibjax.world.town.render import render_frames
+from ovibjax.world.town.route import Route, make_route
 
 Rung = tuple[str, int]
 """A codec and a quality."""
 
 _CHUNK = 2  # frames rendered together
-_MINE = (
-    *("world.town.files", "world.town.coded", "features.images.codecs"),
-    *("features.backbones.image_encoder", "features.backbones.embedded"),
+_SOURCES = (
+    *SOURCES,
+    *("world.town.coded", "features.images.codecs", "features.backbones.image_encoder", "features.backbones.embedded"),
 )
 
 
@@ -82,12 +83,10 @@ def coded_town(
 
     missing = np.array([f for f in np.unique(frames).tolist() if _read(folder, f) is None], np.int64)
     done, chunks = 0, [missing[i : i + _CHUNK] for i in range(0, len(missing), _CHUNK)]
-    # The first chunk compiles, the rest run one per core.
-    for counts in (map(work, chunks[:1]), in_threads(work, chunks[1:])):
-        for count in counts:
-            done += count
-            if on_frames is not None:
-                on_frames(done, len(missing))
+    for count in first_then_threads(work, chunks):
+        done += count
+        if on_frames is not None:
+            on_frames(done, len(missing))
     found = [_read(folder, frame) for frame in frames.tolist()]
     kept = [views for views in found if views is not None]
     if len(kept) < len(found):
@@ -107,7 +106,7 @@ def _key(config: TownConfig, n_frames: int, rungs: Sequence[Rung], route_seed: i
     libraries = [("pillow", metadata.version("pillow"))]
     if any(codec in CLIPS for codec, _ in rungs):
         libraries.append(("av", metadata.version("av")))
-    return hashlib.sha256(repr((facts, libraries)).encode() + source_code(*SOURCES, *_MINE)).hexdigest()[:20]
+    return content_key((facts, libraries), _SOURCES)
 
 
 def _read(folder: Path, frame: int) -> CodedViews | None:

@@ -1,14 +1,11 @@
 """The default data: a drive through the embedded town, rendered and embedded once, then read from the cache."""
 
-import hashlib
-from collections.abc import Callable
 from dataclasses import asdict
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.errors import InputError
 from ovibjax.features.backbones.pyramid import (
     EMBEDDED_DIM,
     EMBEDDED_HEIGHT_PX,
@@ -16,10 +13,10 @@ from ovibjax.features.backbones.pyramid import (
     embed,
     embedded_backbone,
 )
-from ovibjax.features.feature_files import load, save
-from ovibjax.features.frames import FeatureSet, make_feature_set
-from ovibjax.runtime.cache import cache_folder, made_folder, source_code
-from ovibjax.runtime.threads import in_threads
+from ovibjax.features.frames import FeatureSet, OnFrames, make_feature_set
+from ovibjax.runtime.batches import first_then_threads, padded_batches
+from ovibjax.runtime.cache import cache_folder
+from ovibjax.world.feature_cache import content_key, keep, kept
 from ovibjax.world.town.layout import Town, TownConfig, make_town
 from ovibjax.world.town.render import Camera, render
 from ovibjax.world.town.route import context_labels, make_route
@@ -29,18 +26,10 @@ PAPER_FRAMES = 4994
 
 _CHUNK = 32  # frames per call: large enough to fill the vector units, small enough for the second-level cache
 SOURCES = (
-    *("world.town.layout", "world.town.route", "world.town.render", "world.town.shading", "world.town.feature_set"),
-    "features.backbones.pyramid",
+    *("world.rays", "world.patterns", "world.town.layout", "world.town.route", "world.town.render", "world.town.hits"),
+    *("world.town.shading", "world.town.feature_set", "features.backbones.pyramid"),
 )
 """Code that the features of the town depend on."""
-
-OnFrames = Callable[[int, int], None]
-
-
-def cache_key(config: TownConfig, n_frames: int, route_seed: int) -> str:
-    """Content hash of everything the features depend on: the description and the code that renders it."""
-    facts = repr((sorted(asdict(config).items()), n_frames, route_seed)).encode()
-    return hashlib.sha256(facts + source_code(*SOURCES)).hexdigest()[:20]
 
 
 def town_features(
@@ -64,12 +53,10 @@ def town_features(
         InputError: the cache folder cannot be written.
     """
     config = config or TownConfig()
-    path = cache_folder() / f"town-{cache_key(config, n_frames, route_seed)}.npz"
-    if path.exists():
-        try:
-            return load(path)
-        except InputError:
-            path.unlink(missing_ok=True)  # damaged by something else: make it again
+    facts = (sorted(asdict(config).items()), n_frames, route_seed)
+    path = cache_folder() / f"town-{content_key(facts, SOURCES)}.npz"
+    if found := kept(path):
+        return found[0]
     town = make_town(config)
     route = make_route(town, config, n_frames, route_seed)
     features = render_features(town, route.positions_m, route.yaw_rad, on_frames)
@@ -80,8 +67,7 @@ def town_features(
         context=context_labels(town, route.positions_m),
         source="embedded town",
     )
-    made_folder(path.parent)
-    save(path, made)
+    keep({path: made})
     return made
 
 
@@ -102,22 +88,18 @@ def render_features(
     camera = Camera(EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX)
     arrays = jax.tree.map(jnp.asarray, town)
     backbone = jax.tree.map(jnp.asarray, embedded_backbone())
-    n = len(positions_m)
+    n, done = len(positions_m), 0
     out = np.empty((n, 5, EMBEDDED_DIM), np.float32)
 
-    def chunk(start: int) -> int:
-        rows = np.minimum(np.arange(start, start + _CHUNK), n - 1)
+    def fill(batch: tuple[int, np.ndarray]) -> int:
+        count, rows = batch
         views = render(arrays, jnp.asarray(positions_m[rows]), jnp.asarray(yaw_rad[rows]), camera)
         flat = views.rgb.reshape(-1, EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, 3)
-        count = min(_CHUNK, n - start)
-        out[start : start + count] = np.asarray(embed(backbone, flat)).reshape(_CHUNK, 5, -1)[:count]
+        out[rows[:count]] = np.asarray(embed(backbone, flat)).reshape(_CHUNK, 5, -1)[:count]
         return count
 
-    done = 0
-    # The first chunk compiles; the rest run one per core, which fills the gaps between XLA's own parallel parts.
-    for counts in (map(chunk, [0]), in_threads(chunk, range(_CHUNK, n, _CHUNK))):
-        for count in counts:
-            done += count
-            if on_frames is not None:
-                on_frames(done, n)
+    for count in first_then_threads(fill, list(padded_batches(np.arange(n), _CHUNK))):
+        done += count
+        if on_frames is not None:
+            on_frames(done, n)
     return out

@@ -1,73 +1,134 @@
-"""The embedded town on disk: a picture that shows it, and frames in the folder layout of the released data set."""
+"""The embedded town on disk: frames in the folder layout of the released data set."""
 
 import io
 import json
-from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 from PIL import Image
 
 from ovibjax.errors import StrPath, refusal
 from ovibjax.features.frames import CONTEXTS, OnFrames
 from ovibjax.views import VIEWS
-from ovibjax.world.town.feature_set import PAPER_FRAMES
-from ovibjax.world.town.layout import Route, Town, TownConfig, make_town
-from ovibjax.world.town.render import VIEW_PITCH_DEG, VIEW_YAW_DEG, Camera, Views, render
-from ovibjax.world.town.route import context_labels, make_route
+from ovibjax.world.rays import VIEW_YAW_DEG
+from ovibjax.world.town.layout import TownConfig, make_town
+from ovibjax.world.town.render import FRAME_CAMERA, VIEW_PITCH_DEG, Views, render_frames
+from ovibjax.world.town.route import Route, context_labels, make_route
 from ovibjax.world.town.shading import SEMANTIC_CLASSES
 
-FRAME_CAMERA = Camera(height_px=300, width_px=400, max_boxes=64, max_trees=24)
-"""Images as large as the released ones; so large that a missing building shows, hence the higher limits."""
 FRAME_PERIOD_S = 0.5
 DEPTH_FAR_CM = 65535
 """Depth of the sky and of all that is too far for 16 bits of centimetres."""
 
-_BATCH = 2  # poses per call: more are not faster, and each takes 0.4 GB of memory
-_CANDIDATES = 6  # places looked at per context before one is shown
-# Colours of the contexts, from Okabe and Ito's palette: told apart with any colour vision.
-CONTEXT_COLOURS = ("#0072B2", "#E69F00", "#CC79A7")
-_INK = "#222222"
-# Layout of the picture in pixels.
-_CELL_W, _CELL_H, _GAP, _MARGIN, _HEADER, _LABEL = 236, 177, 6, 14, 40, 44
+_KINDS = ("rgb", "depth", "semantic")
 
 
-def render_frames(town: Town, route: Route, frames: NDArray[np.int64]) -> Iterator[tuple[int, Views]]:
-    """Each listed frame with its views, [M, H, W] NumPy arrays, rendered in batches of one size."""
-    # A small town has fewer buildings than the camera keeps.
-    n_boxes, n_trees = len(town.boxes), len(town.trees)
-    kept = (min(n_boxes, FRAME_CAMERA.max_boxes), min(n_trees, FRAME_CAMERA.max_trees))
-    camera = replace(FRAME_CAMERA, max_boxes=kept[0], max_trees=kept[1])
-    for start in range(0, len(frames), _BATCH):
-        batch = frames[start : start + _BATCH]
-        # The last batch repeats its last pose: a batch of another size would be compiled anew.
-        padded = np.concatenate([batch, np.repeat(batch[-1:], _BATCH - len(batch))])
-        poses = (jnp.asarray(route.positions_m[padded]), jnp.asarray(route.yaw_rad[padded]))
-        views = [np.asarray(field) for field in render(town, *poses, camera)]
-        for row, frame in enumerate(batch.tolist()):
-            yield frame, Views(*(field[row] for field in views))
+def check_seeds(path: StrPath, config: TownConfig, seed: int) -> None:
+    """Refuse seeds below zero before any work.
 
-
-def _check_seeds(path: StrPath, config: TownConfig, seed: int) -> None:
+    Raises:
+        InputError: the town's seed or the drive's is negative.
+    """
     if min(config.seed, seed) < 0:
         raise refusal(path, f"not written: seeds {config.seed} and {seed}; use 0 or more")
 
 
-def _write(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a file, whole or not at all; a killed run leaves one hidden file, which the next run reuses."""
     part = path.with_name(f".{path.name}.part")
     part.write_bytes(content)
     part.replace(path)
+
+
+def write_frames(
+    town_config: TownConfig, out: StrPath, n_frames: int, seed: int, on_frame: OnFrames | None = None
+) -> int:
+    """Write a drive through the town in the folder layout of the released data set.
+
+    Under `out` appear `rgb/`, `depth/` and `semantic/<Camera>/<frame>.png`, `metadata/<frame>.json` and
+    `calibration/camera_calibration.json`, which states units, axes and classes. The metadata are
+    written last; a frame that has all its files is left alone, so that an interrupted run goes on where it stopped.
+
+    Args:
+        town_config: the town.
+        out: the folder, made if need be.
+        n_frames: length of the drive, at least 1.
+        seed: the drive, not negative; equal arguments give equal files.
+        on_frame: called with (frames done, frames in all).
+
+    Returns:
+        How many frames had to be written.
+
+    Raises:
+        InputError: `out` cannot be written or holds frames of another drive, or a number is out of range.
+    """
+    out = Path(out)
+    if n_frames < 1:
+        raise refusal(out, f"not written: {n_frames} frames; use at least 1")
+    check_seeds(out, town_config, seed)
+    town = make_town(town_config)
+    route = make_route(town, town_config, n_frames, seed)
+    context = context_labels(town, route.positions_m)
+    try:
+        for folder in ("calibration", "metadata", *(f"{kind}/{view}" for kind in _KINDS for view in VIEWS)):
+            (out / folder).mkdir(parents=True, exist_ok=True)
+        calibration = _calibration(town_config, n_frames, seed)
+        _write_calibration(out / "calibration" / "camera_calibration.json", calibration)
+        todo = np.array([frame for frame in range(n_frames) if not _is_finished(out, frame)], np.int64)
+        for done, (frame, views) in enumerate(render_frames(town, route, todo), n_frames - len(todo) + 1):
+            for (kind, view), pixels in _images(views).items():
+                write_whole(_image_file(out, kind, view, frame), _png(pixels))
+            about = _metadata(route, frame, CONTEXTS[context[frame]], town_config.seed)
+            write_whole(_metadata_file(out, frame), _json(about))
+            if on_frame is not None:
+                on_frame(done, n_frames)
+    except OSError as error:
+        raise refusal(out, f"cannot be written ({error.strerror or error})") from error
+    return len(todo)
+
+
+def _image_file(out: Path, kind: str, view: str, frame: int) -> Path:
+    return out / kind / view / f"{frame:06d}.png"
+
+
+def _metadata_file(out: Path, frame: int) -> Path:
+    return out / "metadata" / f"{frame:06d}.json"
+
+
+def _is_finished(out: Path, frame: int) -> bool:
+    """Whether a frame has all its files."""
+    images = (_image_file(out, kind, view, frame) for kind in _KINDS for view in VIEWS)
+    return _metadata_file(out, frame).exists() and all(image.exists() for image in images)
+
+
+def _images(views: Views) -> dict[tuple[str, str], NDArray[Any]]:
+    """Pixels of the images of one frame, by kind and view."""
+    depth_cm = np.round(np.asarray(views.depth_m, np.float64) * 100)
+    pixels: dict[str, NDArray[Any]] = {
+        "rgb": np.round(np.asarray(views.rgb) * 255).astype(np.uint8),
+        "depth": np.minimum(depth_cm, DEPTH_FAR_CM).astype(np.uint16),
+        "semantic": np.asarray(views.semantic).astype(np.uint8),
+    }
+    return {(kind, view): pixels[kind][m] for kind in _KINDS for m, view in enumerate(VIEWS)}
+
+
+def _metadata(route: Route, frame: int, context: str, town_seed: int) -> dict[str, Any]:
+    """Time, place and context of one frame, in the words of the released metadata."""
+    x, y, z = route.positions_m[frame].tolist()
+    yaw_deg = float(np.rad2deg(route.yaw_rad[frame]))
+    return {
+        "frame": f"{frame:06d}",
+        "timestamp": frame * FRAME_PERIOD_S,
+        "map_name": f"ovibjax-town-{town_seed}",
+        "context": context,
+        "uav_state": {
+            "position": {"x": x, "y": y, "z": z},
+            "rotation": {"pitch": 0.0, "yaw": yaw_deg, "roll": 0.0},
+        },
+    }
 
 
 def _png(pixels: NDArray[Any]) -> bytes:
@@ -106,208 +167,6 @@ def _calibration(config: TownConfig, n_frames: int, seed: int) -> dict[str, Any]
 def _write_calibration(path: Path, calibration: dict[str, Any]) -> None:
     """Write the calibration, or refuse the folder of another drive, whose frames would mix with ours."""
     if not path.exists():
-        _write(path, _json(calibration))
+        write_whole(path, _json(calibration))
     elif path.read_bytes() != _json(calibration):
         raise refusal(path, "describes frames of another drive; name an empty folder")
-
-
-def write_frames(
-    town_config: TownConfig, out: StrPath, n_frames: int, seed: int, on_frame: OnFrames | None = None
-) -> int:
-    """Write a drive through the town in the folder layout of the released data set.
-
-    Under `out` appear `rgb/`, `depth/` and `semantic/<Camera>/<frame>.png`, `metadata/<frame>.json` and
-    `calibration/camera_calibration.json`, which states units, axes and classes. The metadata are
-    written last; a frame that has all its files is left alone, so that an interrupted run goes on where it stopped.
-
-    Args:
-        town_config: the town.
-        out: the folder, made if need be.
-        n_frames: length of the drive, at least 1.
-        seed: the drive, not negative; equal arguments give equal files.
-        on_frame: called with (frames done, frames in all).
-
-    Returns:
-        How many frames had to be written.
-
-    Raises:
-        InputError: `out` cannot be written or holds frames of another drive, or a number is out of range.
-    """
-    out = Path(out)
-    if n_frames < 1:
-        raise refusal(out, f"not written: {n_frames} frames; use at least 1")
-    _check_seeds(out, town_config, seed)
-    town = make_town(town_config)
-    route = make_route(town, town_config, n_frames, seed)
-    context = context_labels(town, route.positions_m)
-    images = {(kind, view): out / kind / view for kind in ("rgb", "depth", "semantic") for view in VIEWS}
-    metadata = out / "metadata"
-    calibration = out / "calibration" / "camera_calibration.json"
-
-    def is_finished(frame: int) -> bool:
-        files = (folder / f"{frame:06d}.png" for folder in images.values())
-        return (metadata / f"{frame:06d}.json").exists() and all(file.exists() for file in files)
-
-    def write(frame: int, views: Views) -> None:
-        name = f"{frame:06d}"
-        depth_cm = np.round(np.asarray(views.depth_m, np.float64) * 100)
-        pixels: dict[str, NDArray[Any]] = {
-            "rgb": np.round(np.asarray(views.rgb) * 255).astype(np.uint8),
-            "depth": np.minimum(depth_cm, DEPTH_FAR_CM).astype(np.uint16),
-            "semantic": np.asarray(views.semantic).astype(np.uint8),
-        }
-        for (kind, view), folder in images.items():
-            _write(folder / f"{name}.png", _png(pixels[kind][VIEWS.index(view)]))
-        x, y, z = route.positions_m[frame].tolist()
-        yaw_deg = float(np.rad2deg(route.yaw_rad[frame]))
-        about = {
-            "frame": name,
-            "timestamp": frame * FRAME_PERIOD_S,
-            "map_name": f"ovibjax-town-{town_config.seed}",
-            "context": CONTEXTS[context[frame]],
-            "uav_state": {
-                "position": {"x": x, "y": y, "z": z},
-                "rotation": {"pitch": 0.0, "yaw": yaw_deg, "roll": 0.0},
-            },
-        }
-        _write(metadata / f"{name}.json", _json(about))
-
-    try:
-        for folder in (calibration.parent, metadata, *images.values()):
-            folder.mkdir(parents=True, exist_ok=True)
-        _write_calibration(calibration, _calibration(town_config, n_frames, seed))
-        todo = np.array([frame for frame in range(n_frames) if not is_finished(frame)], np.int64)
-        for done, (frame, views) in enumerate(render_frames(town, route, todo), n_frames - len(todo) + 1):
-            write(frame, views)
-            if on_frame is not None:
-                on_frame(done, n_frames)
-    except OSError as error:
-        raise refusal(out, f"cannot be written ({error.strerror or error})") from error
-    return len(todo)
-
-
-def contact_sheet(town_config: TownConfig, path: StrPath, seed: int = 0) -> None:
-    """Write one picture of the town: a plan with the drive of the default data, and five views per context.
-
-    Args:
-        town_config: the town.
-        path: the PNG file to write or replace; its folder must exist.
-        seed: the drive, not negative.
-
-    Raises:
-        InputError: the file cannot be written, or a seed is out of range.
-    """
-    path = Path(path)
-    _check_seeds(path, town_config, seed)
-    if path.is_dir() or not path.parent.is_dir():
-        raise refusal(path, "cannot be written: name a file in a folder that exists")
-    town = make_town(town_config)
-    route = make_route(town, town_config, PAPER_FRAMES, seed)
-    context = context_labels(town, route.positions_m)
-    plan = 3 * _CELL_H + 2 * _GAP
-    left = 2 * _MARGIN + plan + _LABEL
-    width, height = left + 5 * (_CELL_W + _GAP) - _GAP + _MARGIN, _HEADER + plan + _MARGIN
-    figure = Figure(figsize=(width / 100, height / 100), dpi=100)
-
-    def axes_at(x: float, y: float, w: float, h: float) -> Axes:
-        """Axes whose top left corner lies x, y pixels from that of the picture."""
-        axes = figure.add_axes((x / width, 1 - (y + h) / height, w / width, h / height), xticks=[], yticks=[])
-        axes.spines[:].set(color="#999999", linewidth=0.8)
-        return axes
-
-    def write_text(x: float, y: float, text: str, **style: Any) -> None:
-        figure.text(x / width, 1 - y / height, text, size=16, color=_INK, ha="center", va="center", **style)
-
-    axes = axes_at(_MARGIN, _HEADER, plan, plan)
-    _draw_plan(axes, town, route, context, half_m=0.6 * town_config.size_m)
-    write_text(_MARGIN + plan / 2, _HEADER / 2, f"Embedded town, seed {town_config.seed}")
-    for column, view in enumerate(VIEWS):
-        write_text(left + column * (_CELL_W + _GAP) + _CELL_W / 2, _HEADER / 2, view)
-    for row, (frame, views) in enumerate(_pick_frames(town, route, context)):
-        y, code = _HEADER + row * (_CELL_H + _GAP), int(context[frame])
-        _draw_pose(axes, route, frame, CONTEXT_COLOURS[code])
-        write_text(left - 28, y + _CELL_H / 2, CONTEXTS[code], rotation=90)
-        axes_at(left - 13, y, 7, _CELL_H).set(facecolor=CONTEXT_COLOURS[code])
-        for column in range(len(VIEWS)):
-            axes_at(left + column * (_CELL_W + _GAP), y, _CELL_W, _CELL_H).imshow(views.rgb[column], aspect="auto")
-    stream = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(stream)
-    try:
-        _write(path, stream.getvalue())
-    except OSError as error:
-        raise refusal(path, f"cannot be written ({error.strerror or error})") from error
-
-
-def _pick_frames(town: Town, route: Route, context: NDArray[np.int32]) -> list[tuple[int, Views]]:
-    """One frame per context that occurs: the middle of a long stretch, of several the one of most contrast."""
-    edges = np.flatnonzero(np.diff(context, prepend=-1, append=-1))
-    starts, stops = edges[:-1], edges[1:]
-    shown = []
-    for code in range(len(CONTEXTS)):
-        mine = np.flatnonzero(context[starts] == code)
-        longest = mine[np.argsort(starts[mine] - stops[mine], kind="stable")][:_CANDIDATES]
-        seen = list(render_frames(town, route, (starts[longest] + stops[longest]) // 2))
-        if seen:
-            shown.append(max(seen, key=lambda item: _contrast(item[1])))
-    return shown
-
-
-def _contrast(views: Views) -> float:
-    """Spread of the colours below the sky, as a geometric mean: one view onto a bare wall spoils a row."""
-    spread = []
-    for rgb, semantic in zip(np.asarray(views.rgb), np.asarray(views.semantic), strict=True):
-        below = rgb[semantic != SEMANTIC_CLASSES.index("sky")]
-        spread.append(below.std(axis=0).mean() if len(below) else 0.0)
-    return float(np.prod(spread))
-
-
-def _draw_plan(axes: Axes, town: Town, route: Route, context: NDArray[np.int32], half_m: float) -> None:
-    """The town from above, north up, with the drive in the colours of its contexts."""
-    axes.set(xlim=(-half_m, half_m), ylim=(-half_m, half_m), facecolor="#f1ede4")
-    edges_x, edges_y = (np.array([-2 * half_m, *lines, 2 * half_m]) for lines in (town.road_x_m, town.road_y_m))
-    for i, j in np.argwhere(town.lawn > 0.5):
-        lawn = Rectangle((edges_x[i], edges_y[j]), np.diff(edges_x)[i], np.diff(edges_y)[j])
-        lawn.set(facecolor="#dbe7cb", linewidth=0)
-        axes.add_patch(lawn)
-    for margin_m, colour in ((float(town.pavement_m), "#d9d5cc"), (0.0, "#ffffff")):
-        reach = float(town.road_half_width_m) + margin_m
-        for span, lines in ((axes.axvspan, town.road_x_m), (axes.axhspan, town.road_y_m)):
-            for at in lines.tolist():
-                span(at - reach, at + reach, color=colour, linewidth=0)
-    # Lower storeys first, the higher the darker.
-    boxes = town.boxes[np.argsort(town.boxes[:, 5], kind="stable")]
-    grey = 0.86 - 0.5 * np.minimum(boxes[:, 5] / 40.0, 1.0)
-    outlines = list(boxes[:, [0, 1, 3, 1, 3, 4, 0, 4]].reshape(-1, 4, 2))
-    axes.add_collection(PolyCollection(outlines, facecolors=grey.astype(str), edgecolors="#ffffff", linewidths=0.3))
-    width = 2 * town.trees[:, 3]
-    crowns = EllipseCollection(width, width, np.zeros_like(width), units="xy", offsets=town.trees[:, :2])
-    crowns.set(offset_transform=axes.transData, facecolor="#8fae74", linewidth=0)
-    axes.add_collection(crowns)
-    xy = route.positions_m[:, :2]
-    colours = [CONTEXT_COLOURS[code] for code in context[:-1].tolist()]
-    axes.add_collection(LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), colors=colours, linewidths=1.6))
-    _draw_furniture(axes, half_m)
-
-
-def _draw_furniture(axes: Axes, half_m: float) -> None:
-    """Scale bar and north arrow, in the corners outside the outermost roads."""
-    edge, bar_m = 0.955 * half_m, 10.0 ** np.floor(np.log10(half_m))
-    axes.plot([-edge, bar_m - edge], [-edge, -edge], color=_INK, linewidth=4, solid_capstyle="butt", zorder=5)
-    halo = [withStroke(linewidth=4, foreground="#ffffff")]
-    note: dict[str, Any] = {"size": 13, "color": _INK, "ha": "center", "zorder": 5, "path_effects": halo}
-    axes.text(bar_m / 2 - edge, -0.94 * half_m, f"{bar_m:.0f} m", va="bottom", **note)
-    axes.text(edge, 0.79 * half_m, "N", va="top", **note)
-    _draw_arrow(axes, (edge, 0.8 * half_m), (edge, edge))
-
-
-def _draw_pose(axes: Axes, route: Route, frame: int, colour: str) -> None:
-    """A dot where a shown frame was taken, with an arrow along its heading."""
-    (x, y), yaw = route.positions_m[frame, :2].tolist(), float(route.yaw_rad[frame])
-    reach = 0.07 * float(np.ptp(axes.get_xlim()))
-    _draw_arrow(axes, (x, y), (x + reach * np.cos(yaw), y + reach * np.sin(yaw)))
-    axes.plot(x, y, "o", markersize=15, color=colour, markeredgecolor=_INK, markeredgewidth=2, zorder=6)
-
-
-def _draw_arrow(axes: Axes, tail: tuple[float, float], tip: tuple[float, float]) -> None:
-    style = {"arrowstyle": "-|>", "mutation_scale": 22, "lw": 3, "color": _INK, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tip, tail, arrowprops=style, zorder=5)

@@ -1,4 +1,4 @@
-"""The embedded town: roads, blocks, buildings and trees as a pure function of a seed, and routes that drive it.
+"""The embedded town: roads, blocks, buildings and trees as a pure function of a seed.
 
 Coordinates are metres in a right-handed frame (x east, y north, z up); yaw is counter-clockwise from x. Districts
 give the town the three kinds of place the paper's routes have: street canyons, crossings, and rows of identical
@@ -69,18 +69,6 @@ class Town(NamedTuple):
     lawn: Any
     road_half_width_m: Any
     pavement_m: Any
-
-
-class Route(NamedTuple):
-    """Camera poses along a drive.
-
-    Attributes:
-        positions_m: [N, 3] float32.
-        yaw_rad: [N] float32, heading.
-    """
-
-    positions_m: np.ndarray
-    yaw_rad: np.ndarray
 
 
 def make_town(config: TownConfig) -> Town:

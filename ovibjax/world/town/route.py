@@ -1,12 +1,26 @@
 """Drives through the town, and the context of a place read off the town's geometry."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ovibjax.features.frames import CONTEXTS
-from ovibjax.world.town.layout import Route, Town, TownConfig
+from ovibjax.world.town.layout import Town, TownConfig
 
-_LANE_M = 2.2  # drive on the right
+_KEEP_RIGHT_M = 2.2  # beside the road's axis
 _TURN_M = 9.0  # a turn begins and ends this far from the crossing
+
+
+class Route(NamedTuple):
+    """Camera poses along a drive.
+
+    Attributes:
+        positions_m: [N, 3] float32.
+        yaw_rad: [N] float32, heading.
+    """
+
+    positions_m: np.ndarray
+    yaw_rad: np.ndarray
 
 
 def make_route(
@@ -39,7 +53,7 @@ def make_route(
     ahead = np.stack([np.interp(frame + 0.5, clock, path[:, axis]) for axis in (0, 1)], axis=1)
     behind = np.stack([np.interp(frame - 0.5, clock, path[:, axis]) for axis in (0, 1)], axis=1)
     yaw = np.arctan2(*(ahead - behind).T[::-1])
-    offset = -_LANE_M + 0.9 * _wander(rng, n_frames, spacing_m, correlation_m=30.0)
+    offset = -_KEEP_RIGHT_M + 0.9 * _wander(rng, n_frames, spacing_m, correlation_m=30.0)
     xy += offset[:, None] * np.stack([-np.sin(yaw), np.cos(yaw)], axis=1)
     yaw += np.deg2rad(2.5) * _wander(rng, n_frames, spacing_m, correlation_m=12.0)
     positions = np.column_stack([xy, np.full(n_frames, config.flight_height_m)])

@@ -7,6 +7,7 @@ over the pixel's footprint, so that they fade into their mean instead of aliasin
 import jax
 import jax.numpy as jnp
 
+from ovibjax.world.patterns import Colour, lattice_cell, lattice_value, noise, stripes
 from ovibjax.world.town.layout import Town
 
 SEMANTIC_CLASSES: tuple[str, ...] = (
@@ -16,42 +17,6 @@ SEMANTIC_CLASSES: tuple[str, ...] = (
 
 SUN = (0.46, -0.54, 0.705)
 """Unit direction towards the sun."""
-
-Colour = list[jax.Array]
-
-
-def _hash(x: jax.Array, y: jax.Array, salt: jax.Array | int) -> jax.Array:
-    """Uniform [0, 1) of integer lattice points."""
-    h = x.astype(jnp.uint32) * jnp.uint32(0x9E3779B1) ^ y.astype(jnp.uint32) * jnp.uint32(0x85EBCA77)
-    h = (h ^ jnp.asarray(salt).astype(jnp.uint32) * jnp.uint32(0xC2B2AE3D)) * jnp.uint32(0x27D4EB2F)
-    h = (h ^ (h >> 15)) * jnp.uint32(0x2C1B3C6D)
-    return (h >> 8).astype(jnp.float32) * jnp.float32(2.0**-24)
-
-
-def _floor(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    whole = jnp.floor(x)
-    return whole.astype(jnp.int32), x - whole
-
-
-def noise(x: jax.Array, y: jax.Array, salt: int) -> jax.Array:
-    """Smooth value noise in [0, 1] with unit lattice."""
-    ix, fx = _floor(x)
-    iy, fy = _floor(y)
-    fx, fy = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy)
-    low = _hash(ix, iy, salt) * (1 - fx) + _hash(ix + 1, iy, salt) * fx
-    high = _hash(ix, iy + 1, salt) * (1 - fx) + _hash(ix + 1, iy + 1, salt) * fx
-    return low * (1 - fy) + high * fy
-
-
-def stripes(x: jax.Array, period: jax.Array | float, share: jax.Array | float, width: jax.Array) -> jax.Array:
-    """Share of a pixel of the given width covered by stripes centred in each period (box-filtered pulse train)."""
-    at, half = x / period, jnp.maximum(width / period, 1e-3) / 2
-
-    def integral(u: jax.Array) -> jax.Array:
-        whole = jnp.floor(u)
-        return whole * share + jnp.clip(u - whole - (1 - share) / 2, 0.0, share)
-
-    return (integral(at + half) - integral(at - half)) / (2 * half)
 
 
 def _line(distance: jax.Array, half_width: float, footprint: jax.Array) -> jax.Array:
@@ -74,10 +39,10 @@ def shade_wall(
     bay, storey, share, tone = row[9], row[10], row[11], row[12]
     height = hit[2] - row[2]
     window = stripes(along, bay, share, footprint) * stripes(height, storey, 0.5 + 0.3 * share, footprint)
-    ix, _ = _floor(along / bay)
-    iy, _ = _floor(height / storey)
+    ix, _ = lattice_cell(along / bay)
+    iy, _ = lattice_cell(height / storey)
     salt = row[14].astype(jnp.int32) * 4 + faces_x.astype(jnp.int32)
-    pane = _hash(ix, iy, salt)
+    pane = lattice_value(ix, iy, salt)
     # Panes blur into their mean once a pixel covers several of them.
     pane = _mix(pane, 0.5, jnp.clip(footprint / bay - 0.4, 0.0, 1.0))
     glass = tone * (0.55 + 0.9 * pane)
@@ -95,9 +60,9 @@ def shade_wall(
 def shade_roof(hit: Colour, row: list[jax.Array], footprint: jax.Array) -> Colour:
     """Flat roof with a parapet, stains and plant boxes."""
     edge = jnp.minimum(jnp.minimum(hit[0] - row[0], row[3] - hit[0]), jnp.minimum(hit[1] - row[1], row[4] - hit[1]))
-    ix, fx = _floor(hit[0] / 3.1)
-    iy, fy = _floor(hit[1] / 3.1)
-    unit = (_hash(ix, iy, 5) > 0.82) & (jnp.abs(fx - 0.5) < 0.3) & (jnp.abs(fy - 0.5) < 0.3)
+    ix, fx = lattice_cell(hit[0] / 3.1)
+    iy, fy = lattice_cell(hit[1] / 3.1)
+    unit = (lattice_value(ix, iy, 5) > 0.82) & (jnp.abs(fx - 0.5) < 0.3) & (jnp.abs(fy - 0.5) < 0.3)
     tone = row[13] * (0.75 + 0.5 * noise(hit[0] * 0.35, hit[1] * 0.35, 3))
     tone = jnp.where(unit, 0.82, tone)
     parapet = jnp.clip((0.6 - edge) / jnp.maximum(footprint, 0.05), 0.0, 1.0)
@@ -142,7 +107,7 @@ def shade_ground(town: Town, hit: Colour, footprint: jax.Array) -> tuple[Colour,
     sides = _line(jnp.abs(across) - (half - 0.35), 0.08, footprint)
     # Every second arm of a crossing has a zebra; which ones tells crossings apart.
     arm = jnp.where(on_x, 2 + (dy > 0).astype(jnp.int32), (dx > 0).astype(jnp.int32))
-    has_zebra = _hash(road_i * 4 + arm, road_j, 59) > 0.5
+    has_zebra = lattice_value(road_i * 4 + arm, road_j, 59) > 0.5
     beside = (to_crossing > 1.2) & (to_crossing < 4.2)
     zebra = stripes(across, 1.1, 0.5, footprint) * (beside & has_zebra).astype(jnp.float32)
     stop = ((to_crossing > 4.8) & (to_crossing < 5.4) & (jnp.abs(across) < half - 0.4)).astype(jnp.float32)
@@ -152,16 +117,16 @@ def shade_ground(town: Town, hit: Colour, footprint: jax.Array) -> tuple[Colour,
     fine = noise(x * 0.6, y * 0.6, 43)
     fine = _mix(fine, 0.5, jnp.clip(footprint * 0.4, 0.0, 1.0))
     # Repaired patches of asphalt: rectangles of a coarse lattice.
-    ix, _ = _floor(x / 3.7)
-    iy, _ = _floor(y / 4.9)
-    patch = jnp.where(_hash(ix, iy, 47) > 0.9, -0.05, 0.0)
-    worn = jnp.where(on_x, _hash(road_i, road_i, 71), _hash(road_j, road_j, 73))
+    ix, _ = lattice_cell(x / 3.7)
+    iy, _ = lattice_cell(y / 4.9)
+    patch = jnp.where(lattice_value(ix, iy, 47) > 0.9, -0.05, 0.0)
+    worn = jnp.where(on_x, lattice_value(road_i, road_i, 71), lattice_value(road_j, road_j, 73))
     asphalt = 0.15 + 0.12 * broad + 0.05 * fine + 0.10 * worn + patch
     slabs = 1 - 0.16 * jnp.maximum(stripes(x, 1.5, 0.06, footprint), stripes(y, 1.5, 0.06, footprint))
     walk = (0.46 + 0.10 * broad + 0.05 * fine) * slabs
     lawn = _block_value(town.lawn, block_i, block_j)
-    tint = _hash(block_i, block_j, 53)
-    warm = _hash(block_j, block_i, 79) - 0.5
+    tint = lattice_value(block_i, block_j, 53)
+    warm = lattice_value(block_j, block_i, 79) - 0.5
     yard = 0.26 + 0.26 * tint + 0.10 * fine
     grass = 0.75 + 0.35 * fine + 0.3 * broad
     rgb = []

@@ -12,9 +12,12 @@ from ovibjax.errors import InputError
 from ovibjax.features.frames import CONTEXTS
 from ovibjax.views import VIEWS
 from ovibjax.world.town import files as town_files
-from ovibjax.world.town.files import FRAME_CAMERA, contact_sheet, write_frames
+from ovibjax.world.town import picture
+from ovibjax.world.town import render as renderer
+from ovibjax.world.town.files import write_frames
 from ovibjax.world.town.layout import TownConfig, make_town
-from ovibjax.world.town.render import render
+from ovibjax.world.town.picture import contact_sheet
+from ovibjax.world.town.render import FRAME_CAMERA, render
 from ovibjax.world.town.route import context_labels, make_route
 from ovibjax.world.town.shading import SEMANTIC_CLASSES
 
@@ -28,7 +31,8 @@ SHAPE = (CAMERA.height_px, CAMERA.width_px)
 @pytest.fixture(scope="module", autouse=True)
 def small_images():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(town_files, "FRAME_CAMERA", CAMERA)
+        for module in (town_files, renderer):
+            patch.setattr(module, "FRAME_CAMERA", CAMERA)
         yield
 
 
@@ -153,7 +157,7 @@ def test_calibration_projects_points_to_where_they_are_seen(written, drive):
 
 def test_a_finished_folder_is_left_alone(copy, monkeypatch):
     before = stamps(copy)
-    monkeypatch.setattr(town_files, "render", refuse_to_render)
+    monkeypatch.setattr(renderer, "render", refuse_to_render)
     assert write_frames(CONFIG, copy, N_FRAMES, SEED) == 0
     assert stamps(copy) == before
 
@@ -186,8 +190,8 @@ def test_an_interrupted_run_goes_on(written, tmp_path):
 
 def test_metadata_come_last(tmp_path, monkeypatch):
     order = []
-    write = town_files._write
-    monkeypatch.setattr(town_files, "_write", lambda path, content: (order.append(path), write(path, content)))
+    write = town_files.write_whole
+    monkeypatch.setattr(town_files, "write_whole", lambda path, content: (order.append(path), write(path, content)))
     write_frames(CONFIG, tmp_path, 1, SEED)
     assert order[0].name == "camera_calibration.json" and order[-1].parent.name == "metadata"
     assert len(order) == 17 and all(a != b for a, b in pairwise(order))
@@ -196,7 +200,7 @@ def test_metadata_come_last(tmp_path, monkeypatch):
 def test_a_killed_write_leaves_no_file_under_its_name(tmp_path, monkeypatch):
     monkeypatch.setattr(town_files.Path, "replace", refuse_to_render)
     with pytest.raises(AssertionError):
-        town_files._write(tmp_path / "frame.png", b"content")
+        town_files.write_whole(tmp_path / "frame.png", b"content")
     assert not (tmp_path / "frame.png").exists()
 
 
@@ -227,7 +231,7 @@ def test_what_cannot_be_written_is_refused_by_name(tmp_path):
 
 
 def test_the_contact_sheet_is_a_picture(tmp_path, monkeypatch):
-    monkeypatch.setattr(town_files, "_CANDIDATES", 1)
+    monkeypatch.setattr(picture, "_CANDIDATES", 1)
     path = tmp_path / "town.png"
     contact_sheet(CONFIG, path)
     pixels = read(path)
@@ -241,7 +245,7 @@ def test_the_contact_sheet_is_a_picture(tmp_path, monkeypatch):
 
 
 def test_a_contact_sheet_that_cannot_be_written_is_refused_by_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(town_files, "render", refuse_to_render)  # refused at once, not after the work
+    monkeypatch.setattr(renderer, "render", refuse_to_render)  # refused at once, not after the work
     for path in (tmp_path / "nowhere" / "town.png", tmp_path):
         with pytest.raises(InputError) as error:
             contact_sheet(CONFIG, path)

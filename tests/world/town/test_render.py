@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from ovibjax.views import VIEWS
+from ovibjax.world.rays import VIEW_YAW_DEG
 from ovibjax.world.town.layout import TownConfig, make_town
-from ovibjax.world.town.render import VIEW_PITCH_DEG, VIEW_YAW_DEG, Camera, Views, render
+from ovibjax.world.town.render import VIEW_PITCH_DEG, Camera, Views, render
 from ovibjax.world.town.route import make_route
 from ovibjax.world.town.shading import SEMANTIC_CLASSES
 from tests.oracles.raycast import RIG_DEG, first_hit, pixel_ray
