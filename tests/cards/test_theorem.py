@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ovibjax import sweep
+from ovibjax.cards import theorem_study
 from ovibjax.cards.catalog import cards_folder, load_card
 from ovibjax.report.claims import HELD, NOT_HELD
 from ovibjax.report.rows import write_rows
@@ -24,8 +25,8 @@ class Job:
 
 @pytest.fixture(scope="module")
 def found():
-    preset = card.Preset(3, 16, (1.0, 4.0, 16.0), Horizon(100, 40))
-    return card.measure(Job(), preset, [3, 4, 5])
+    size = theorem_study.TheoremSize(3, 16, (1.0, 4.0, 16.0), Horizon(100, 40))
+    return theorem_study.measure(Job(), size, [3, 4, 5])
 
 
 def verdicts(found):
@@ -38,7 +39,7 @@ def test_the_theorem_holds_where_its_proof_does(found):
         "Serving pending requests only, light load: utility gap at most C_0 / V"
     ]
     assert len(by_statement) == 9
-    gap = {setting.name: found.at(setting, "gap") for setting in card.SETTINGS}
+    gap = {setting.name: found.at(setting, "gap") for setting in theorem_study.SETTINGS}
     assert all(values.shape == (3, 3) for values in gap.values())
     assert gap["pending_0.5"].min() > 0.5 and gap["shifted_0.5"][:, -1].max() < 0.2
     # The estimate with the benchmark's prices and the plain one agree to the noise of 3,200 slots.
@@ -53,7 +54,7 @@ def test_tables(found, tmp_path):
     assert len(rows) == 5 * 3 * 3 and {row["reading"] for row in rows} == {"proof", "pending", "shifted"}
     assert np.isfinite([float(row[name]) for row in rows for name in ("utility_m", "gap_m", "best_m", "backlog")]).all()
     growth = card.growth_rows(found)
-    assert len(growth) == len(card.LOADS) * 3 and {row["slots"] for row in growth} == {40, 400, 4000}
+    assert len(growth) == len(theorem_study.LOADS) * 3 and {row["slots"] for row in growth} == {40, 400, 4000}
     assert all(row["least_of_any_policy"] > 0.01 if row["load"] > 1 else True for row in growth)
 
 
