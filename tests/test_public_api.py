@@ -14,9 +14,16 @@ PUBLIC = {
         room_features runtime scheduling sweep system town_features views world""",
     "ovibjax.cards": "CardInterrupted Job PRESETS card_names card_paths load_card load_features load_pair",
     "ovibjax.cli": "Best Features Replay Reproduce Show SweepSystem SweepTrain Town check_options",
+    "ovibjax.features": """CONTEXTS FeatureSet Split backbones describe extract fit_basis images load make_feature_set
+        open_backbone open_source project save split_indices""",
+    "ovibjax.features.backbones": "Backbone BackboneOptions fingerprint normalise open_backbone resize_and_crop",
+    "ovibjax.features.images": """CODECS Extraction Frame LADDERS Skipped Source decode decode_image encode extract
+        open_source""",
     "ovibjax.report": """Claim Interval band bars choose interval plot select sheet table variance_shares write_claims
         write_csv write_page""",
     "ovibjax.sweep": "Along Axis Interrupted best config_of on_ray open_dataset run take tree_of",
+    "ovibjax.world": """Camera RoomConfig TownConfig contact_sheet context_labels make_room make_route make_town
+        platform_room render render_interior room_features rooms town town_features write_frames""",
 }
 """Public names by package; what is not written here may change from one version to the next."""
 
