@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.controller import Controller
+from ovibjax.control.drives import DRIVES, embedded_drives, halves
 from ovibjax.control.environment import PAPER_SLOTS, Environment, Route, make_environment
 from ovibjax.control.policy_study import (
     Outcome,
@@ -17,9 +18,9 @@ from ovibjax.control.policy_study import (
     routes_for_seeds,
     run_study,
 )
-from ovibjax.control.residuals import CheckpointConfig
 from ovibjax.control.route_replay import RouteResult
-from ovibjax.control.scene import DRIVES, Scene, embedded_drives, halves, make_scene
+from ovibjax.control.scene import Scene, make_scene
+from ovibjax.encoder.checkpoint import CheckpointConfig
 from ovibjax.features.frames import FeatureSet, content_hash
 
 PAPER_PROFILE_KB_PER_S = 8.0

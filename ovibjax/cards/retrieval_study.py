@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.cards.synthetic_database import recombine
-from ovibjax.control.residuals import CheckpointConfig, train_checkpoint
 from ovibjax.edge.index import build_index
 from ovibjax.edge.pruning import Asked, Pruning, judge_pruning
 from ovibjax.edge.retrieval import brute_force, coarse_to_fine
+from ovibjax.encoder.checkpoint import CheckpointConfig, train_checkpoint
 from ovibjax.encoder.model import decode, encode
 from ovibjax.encoder.train import PAPER_PREFIXES
 from ovibjax.features.basis import project

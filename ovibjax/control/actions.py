@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.link.payload import request_bytes
-from ovibjax.views import MODES
+from ovibjax.views import MODES, modes_for
 
 
 @dataclass(frozen=True)
@@ -87,3 +87,8 @@ class SweptActions(ActionSet):
 
 ACTIONS = ActionSet()
 """The paper's A_ctrl = {F, FS, H4, A5} x {16, 32}."""
+
+
+def actions_for(n_views: int, actions: ActionSet) -> ActionSet:
+    """The actions that a platform with so many views has."""
+    return ActionSet(tuple(mode for mode in actions.modes if mode in modes_for(n_views)), actions.prefixes)

@@ -1,9 +1,9 @@
 """Tune the controller on tuning seeds and training routes, compare every policy on held-out ones: one compiled call.
 
-The search replays VOI-Control for every candidate on every training route and tuning seed under the hard budget and
-keeps the lowest local risk; no true error is looked at. The winner and the paper's fixed rules then run on held-out
-routes and seeds. Settings (drift, budget) are mapped in turn around all of it, so that a sensitivity study is the same
-program. Nothing that is swept is baked in: other seeds, prices or budgets compile nothing.
+The search replays VOI-Control for every candidate on every training route and tuning seed, see `policy_search`. The
+winner and the paper's fixed rules then run on held-out routes and seeds. Settings (drift, budget) are mapped in turn
+around all of it, so that a sensitivity study is the same program. Nothing that is swept is baked in: other seeds,
+prices or budgets compile nothing.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ import numpy as np
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.controller import Controller, FixedRules, make_controller
-from ovibjax.control.environment import Draws, Environment, Route, draw, make_environment
+from ovibjax.control.environment import Environment, Route, draw, make_environment
 from ovibjax.control.planning import plan
 from ovibjax.control.policies import POLICIES
+from ovibjax.control.policy_search import candidates, lowest_risk, search, take
 from ovibjax.control.route_replay import RouteResult, replay_schedule
-from ovibjax.control.route_summary import Summary, score, summarize
+from ovibjax.control.route_summary import Summary, summarize
 from ovibjax.control.scene import Scene
-from ovibjax.control.voi import Prices
 
 SHOWN = ("voi", "budgeted_periodic")
 """Policies whose slots are kept: those that figures draw over time, and whose requests are scheduled."""
@@ -58,6 +58,18 @@ class Setting(NamedTuple):
     mean_kb_per_s: jax.Array
 
 
+class RoutesAndSeeds(NamedTuple):
+    """What controllers are tried on.
+
+    Attributes:
+        routes: [R, T, ...] routes.
+        keys: [S] keys of seeds.
+    """
+
+    routes: Route
+    keys: jax.Array
+
+
 class Outcome(NamedTuple):
     """What a study found, with leading axis [settings].
 
@@ -78,48 +90,14 @@ class Outcome(NamedTuple):
     histories: dict[str, RouteResult]
 
 
-def candidates(key: jax.Array, count: int, actions: ActionSet) -> Controller:
-    """Random configurations: prices, threshold and gap of VOI-Control, threshold and gap of the uncertainty rule.
-
-    Args:
-        key: random key.
-        count: how many.
-        actions: the action set.
-
-    Returns:
-        A controller whose leaves have leading axis [count]; prices log-uniform, the rest uniform.
-    """
-
-    def one(index: jax.Array) -> Controller:
-        u = jax.random.uniform(jax.random.fold_in(key, index), (6,))
-        base = make_controller(actions)
-        rules = base.rules._replace(uncertainty_risk_m=2.0 + 8.0 * u[4], uncertainty_gap_s=10.0 * u[5])
-        return base._replace(
-            prices=Prices(10.0 ** (4.0 * u[0] - 1.0), jnp.float32(0.0), 10.0 ** (3.0 * u[1] - 1.0)),
-            threshold_m=8.0 * u[2],
-            min_gap_s=10.0 * u[3],
-            rules=rules,
-        )
-
-    return jax.vmap(one)(jnp.arange(count))
-
-
-def stack_routes(routes: list[Route]) -> Route:
-    """Routes of equal length with a leading axis; longer ones are cut to the shortest."""
-    slots = min(len(route.context) for route in routes)
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf[:slots]) for leaf in leaves]), *routes)
-
-
 @partial(jax.jit, static_argnames="actions")
 def study(
     settings: Setting,
     env: Environment,
     tried: Controller,
     rules: FixedRules,
-    training: Route,
-    tuning_keys: jax.Array,
-    held_out: Route,
-    held_out_keys: jax.Array,
+    tuning: RoutesAndSeeds,
+    held_out: RoutesAndSeeds,
     actions: ActionSet,
 ) -> Outcome:
     """Search and compare, for every setting, in one program.
@@ -129,10 +107,8 @@ def study(
         env: the environment at drift scale 1.
         tried: [C] candidate controllers.
         rules: numbers of the fixed rules, the paper's.
-        training: [R, T, ...] training routes.
-        tuning_keys: [S] keys of the tuning seeds.
-        held_out: [L, T, ...] a held-out route per held-out seed.
-        held_out_keys: [L] their keys.
+        tuning: training routes and tuning seeds; every route is replayed with every seed.
+        held_out: a held-out route for each held-out seed.
         actions: the action set (static).
 
     Returns:
@@ -145,95 +121,90 @@ def study(
         )
         budgeted = tried._replace(budget_bytes=jnp.full_like(tried.budget_bytes, 1024.0) * setting.budget_kb)
         # Every route with every tuning seed; drawn once for both searches.
-        draws = jax.vmap(lambda route: jax.vmap(lambda key: draw(key, route, world, actions))(tuning_keys))(training)
-        searched = search(draws, training, world, budgeted, "voi", actions)
+        draws = jax.vmap(lambda route: jax.vmap(lambda key: draw(key, route, world, actions))(tuning.keys))(
+            tuning.routes
+        )
+        searched = search(draws, tuning.routes, world, budgeted, "voi", actions)
         best = lowest_risk(searched)
-        by_rule = search(draws, training, world, budgeted, "uncertainty", actions)
+        by_rule = search(draws, tuning.routes, world, budgeted, "uncertainty", actions)
         tuned = take(budgeted, lowest_risk(by_rule)).rules
         control = take(budgeted, best)._replace(rules=rules)
-        histories = compare(world, control, tuned, held_out, held_out_keys, actions)
+        histories = compare(ControlParams(world, control), tuned, held_out, actions)
         summaries = {name: summarize(history) for name, history in histories.items()}
         return Outcome(searched, best, control, tuned, summaries, {name: histories[name] for name in SHOWN})
 
     return jax.lax.map(one, settings)
 
 
-def search(
-    draws: Draws, routes: Route, env: Environment, tried: Controller, policy: str, actions: ActionSet
-) -> Summary:
-    """Replay every candidate on every route and seed.
-
-    Args:
-        draws: [R, S, ...] a realization per route and seed.
-        routes: [R, T, ...] routes.
-        env: the environment.
-        tried: [C] candidates.
-        policy: the policy that is searched (static).
-        actions: the action set (static).
-
-    Returns:
-        Fields [routes, seeds, candidates].
-    """
-
-    def lane(draws: Draws, route: Route) -> Summary:
-        return jax.vmap(lambda control: score(draws, route, policy, ControlParams(env, control), actions))(tried)
-
-    return jax.vmap(jax.vmap(lane, (0, None)))(draws, routes)
-
-
-def lowest_risk(searched: Summary) -> jax.Array:
-    """Position of the candidate with the lowest mean local risk over routes and seeds."""
-    return jnp.argmin(jnp.mean(searched.risk_m, axis=(0, 1)))
-
-
-def take(tried: Controller, index: jax.Array) -> Controller:
-    """One candidate."""
-    return jax.tree.map(lambda leaf: leaf[index], tried)
-
-
 def compare(
-    env: Environment, control: Controller, tuned: FixedRules, routes: Route, keys: jax.Array, actions: ActionSet
+    params: ControlParams, tuned: FixedRules, held_out: RoutesAndSeeds, actions: ActionSet
 ) -> dict[str, RouteResult]:
     """Every policy on paired routes and seeds.
 
     Args:
-        env: the environment.
-        control: VOI-Control's configuration, and the paper's rules.
+        params: the environment; VOI-Control's configuration, and the paper's rules.
         tuned: rules with the searched uncertainty threshold and gap.
-        routes: [L, T, ...] a route per seed.
-        keys: [L] keys of the seeds.
+        held_out: a route for each seed.
         actions: the action set (static).
 
     Returns:
         Histories [L, T] by policy, and `tuned_uncertainty`.
     """
-    params = ControlParams(env, control)
 
     def one(route: Route, key: jax.Array) -> dict[str, RouteResult]:
-        draws = draw(key, route, env, actions)
-        none = jnp.zeros(draws.rate_bps.shape, bool)
-        results = {"voi": replay_schedule(draws, route, "voi", none, params, actions)}
-        sent = results["voi"].sent
-        # The three that send one fixed action at planned slots are one scan.
-        together = ("periodic", "budgeted_periodic", "random")
-        planned = jnp.stack([plan(draws, policy, params, sent) for policy in together])
-        histories = jax.vmap(lambda slots: replay_schedule(draws, route, "random", slots, params, actions))(planned)
-        results |= {policy: jax.tree.map(lambda h, i=i: h[i], histories) for i, policy in enumerate(together)}
-        for policy in ("fixed_front", "oracle_action"):
-            results[policy] = replay_schedule(draws, route, policy, plan(draws, policy, params, sent), params, actions)
-        both = jax.tree.map(lambda *leaves: jnp.stack(leaves), control.rules, tuned)
-        histories = jax.vmap(
-            lambda rules: replay_schedule(
-                draws, route, "uncertainty", none, ControlParams(env, control._replace(rules=rules)), actions
-            )
-        )(both)
-        results |= {
-            policy: jax.tree.map(lambda h, i=i: h[i], histories)
-            for i, policy in enumerate(("uncertainty", "tuned_uncertainty"))
-        }
-        return {policy: results[policy] for policy in (*POLICIES, "tuned_uncertainty")}
+        return replay_every_policy(key, route, params, tuned, actions)
 
-    return jax.vmap(one)(routes, keys)
+    return jax.vmap(one)(*held_out)
+
+
+def replay_every_policy(
+    key: jax.Array, route: Route, params: ControlParams, tuned: FixedRules, actions: ActionSet
+) -> dict[str, RouteResult]:
+    """`compare` on one route and seed."""
+    env, control = params
+    draws = draw(key, route, env, actions)
+    none = jnp.zeros(draws.rate_bps.shape, bool)
+    results = {"voi": replay_schedule(draws, route, "voi", none, params, actions)}
+    sent = results["voi"].sent
+
+    def by_name(names: tuple[str, ...], histories: RouteResult) -> dict[str, RouteResult]:
+        return {name: jax.tree.map(lambda h, i=i: h[i], histories) for i, name in enumerate(names)}
+
+    # The three that send one fixed action at planned slots are one scan.
+    together = ("periodic", "budgeted_periodic", "random")
+    planned = jnp.stack([plan(draws, policy, params, sent) for policy in together])
+    histories = jax.vmap(lambda slots: replay_schedule(draws, route, "random", slots, params, actions))(planned)
+    results |= by_name(together, histories)
+    for policy in ("fixed_front", "oracle_action"):
+        results[policy] = replay_schedule(draws, route, policy, plan(draws, policy, params, sent), params, actions)
+
+    def by_uncertainty(rules: FixedRules) -> RouteResult:
+        with_rules = ControlParams(env, control._replace(rules=rules))
+        return replay_schedule(draws, route, "uncertainty", none, with_rules, actions)
+
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), control.rules, tuned)
+    results |= by_name(("uncertainty", "tuned_uncertainty"), jax.vmap(by_uncertainty)(both))
+    return {policy: results[policy] for policy in (*POLICIES, "tuned_uncertainty")}
+
+
+def run_study(scene: Scene, settings: Setting, size: StudySize, first_seed: int) -> Outcome:
+    """`study` on a scene with the project's seeds: tuning seeds 0, 1, ..., held-out seeds from `first_seed` on."""
+    held = [first_seed + i for i in range(size.held_out_seeds)]
+    return study(
+        settings,
+        make_environment(scene.context_share),
+        candidates(jax.random.key(0), size.candidates, scene.actions),
+        make_controller(scene.actions).rules,
+        RoutesAndSeeds(stack_routes(scene.training), seeds_to_keys(list(range(size.tuning_seeds)))),
+        RoutesAndSeeds(routes_for_seeds(scene, held), seeds_to_keys(held)),
+        scene.actions,
+    )
+
+
+def stack_routes(routes: list[Route]) -> Route:
+    """Routes of equal length with a leading axis; longer ones are cut to the shortest."""
+    slots = min(len(route.context) for route in routes)
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf[:slots]) for leaf in leaves]), *routes)
 
 
 def seeds_to_keys(seeds: list[int]) -> jax.Array:
@@ -245,19 +216,3 @@ def routes_for_seeds(scene: Scene, seeds: list[int]) -> Route:
     """A held-out route per seed, in turn."""
     stacked = stack_routes(scene.held_out)
     return jax.tree.map(lambda leaf: leaf[np.arange(len(seeds)) % len(scene.held_out)], stacked)
-
-
-def run_study(scene: Scene, settings: Setting, size: StudySize, first_seed: int) -> Outcome:
-    """`study` on a scene with the project's seeds: tuning seeds 0, 1, ..., held-out seeds from `first_seed` on."""
-    held = [first_seed + i for i in range(size.held_out_seeds)]
-    return study(
-        settings,
-        make_environment(scene.context_share),
-        candidates(jax.random.key(0), size.candidates, scene.actions),
-        make_controller(scene.actions).rules,
-        stack_routes(scene.training),
-        seeds_to_keys(list(range(size.tuning_seeds))),
-        routes_for_seeds(scene, held),
-        seeds_to_keys(held),
-        scene.actions,
-    )

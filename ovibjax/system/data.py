@@ -1,29 +1,85 @@
-"""Frames of drives to the arrays that the whole system runs on."""
+"""What the whole system runs on: static choices, arrays, and how drives become both."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
-from ovibjax.control.controller import make_controller
-from ovibjax.control.environment import make_environment
-from ovibjax.control.residuals import TRAIN_FRAMES, survey
-from ovibjax.control.scene import SURVEY_M
+from ovibjax.control.controller import Controller, make_controller
+from ovibjax.control.drives import JoinedDrives, join_drives
+from ovibjax.control.environment import Environment, make_environment
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.errors import InputError
 from ovibjax.features.basis import fit_basis, project
-from ovibjax.features.frames import CONTEXTS, FeatureSet
-from ovibjax.scheduling.clients import default_trace_params
+from ovibjax.features.frames import FeatureSet
+from ovibjax.scheduling.clients import TraceParams, default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
-from ovibjax.scheduling.rules import default_params
-from ovibjax.system.chain import SystemConfig, SystemData
+from ovibjax.scheduling.rules import POLICIES, SchedulerParams, default_params
 from ovibjax.views import modes_for
 
 PREFIXES = (8, 16, 32, 64, 128)
 """Prefix lengths that the encoder is trained at."""
+
+
+@dataclass(frozen=True)
+class SystemConfig:
+    """Static choices; hashable.
+
+    Attributes:
+        train: architecture, trained prefixes, steps.
+        modes: view modes a client may choose among.
+        policy: request policy, a key of `control.policies.POLICIES`.
+        schedulers: scheduling rules at the edge.
+        mixed: training examples made by mixing frames, see `encoder.checkpoint.mix_frames`.
+        requests: most requests of one client; more would not be served, which `unserved` tells.
+    """
+
+    train: TrainConfig
+    modes: tuple[str, ...]
+    policy: str = "voi"
+    schedulers: tuple[str, ...] = POLICIES
+    mixed: int = 8192
+    requests: int = 40
+
+
+class SystemData(NamedTuple):
+    """One scene, its clients and its servers; arrays.
+
+    Attributes:
+        seen_x: [L, M, r] features of the frames that are trained on, without positions.
+        x: [F, M, r] features of every frame.
+        positions_m: [F, 2] where they were taken.
+        yaw_rad: [F] headings.
+        context: [F] int32 contexts.
+        known: [F] bool, frames of training routes, on which g_psi is fitted.
+        references: [R] int32 frames in the edge's database.
+        own: [F] int32 a frame's position in the database, or -1.
+        routes: [C, T] int32 frames along the route of each client that is replayed.
+        fleet: [S, N] int32 which of these clients each client of each edge server is.
+        env: drift, link, service.
+        control: prices, budget, rules.
+        trace: phases, urgencies, deadlines.
+        scheduler: V and weights; V is replaced where it is swept.
+    """
+
+    seen_x: Any
+    x: Any
+    positions_m: Any
+    yaw_rad: Any
+    context: Any
+    known: Any
+    references: Any
+    own: Any
+    routes: Any
+    fleet: Any
+    env: Environment
+    control: Controller
+    trace: TraceParams
+    scheduler: SchedulerParams
 
 
 @dataclass(frozen=True)
@@ -68,38 +124,26 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
     """
     if not 0 < training < len(sets):
         raise InputError(f"{len(sets)} drives with {training} for training leave none to be judged on")
-    lengths = [len(s.features) for s in sets]
-    starts = np.concatenate([[0], np.cumsum(lengths)])
-    features = np.concatenate([s.features for s in sets])
-    positions_m = np.concatenate([s.positions_m for s in sets])
-    context = np.concatenate([s.context for s in sets])
-    n_contexts = len(CONTEXTS)
-    if (context < 0).any():
-        context, n_contexts = np.where(context < 0, n_contexts, context), n_contexts + 1
-    drive = np.repeat(np.arange(len(sets)), lengths)
-    known = drive < training
-    seen = features[: min(TRAIN_FRAMES, lengths[0])]
-    basis = fit_basis(seen, size.rank)
-    references = survey(positions_m, drive, SURVEY_M)
-    own = np.full(len(features), -1, np.int32)
-    own[references] = np.arange(len(references))
-    slots = min(lengths[training:])
-    held_out = np.stack([np.arange(start, start + slots) for start in starts[training:-1]])
-    x = project(basis, features)
+    frames = join_drives(sets, training)
+    basis = fit_basis(frames.first_frames, size.rank)
+    x = project(basis, frames.features)
     modes = modes_for(x.shape[1])
-    share = np.bincount(context[known], minlength=n_contexts) / known.sum()
+    references = frames.references
+    own = np.full(len(x), -1, np.int32)
+    own[references] = np.arange(len(references))
+    held_out = held_out_rows(frames)
     data = SystemData(
-        seen_x=project(basis, seen),
+        seen_x=project(basis, frames.first_frames),
         x=x,
-        positions_m=positions_m[:, :2],
-        yaw_rad=np.concatenate([s.yaw_rad for s in sets]),
-        context=context.astype(np.int32),
-        known=known,
+        positions_m=frames.positions_m[:, :2],
+        yaw_rad=frames.yaw_rad,
+        context=frames.context.astype(np.int32),
+        known=frames.known,
         references=references.astype(np.int32),
         own=own,
         routes=held_out[np.arange(size.clients) % len(held_out)].astype(np.int32),
         fleet=np.repeat(np.arange(size.clients, dtype=np.int32)[:, None], size.fleet, axis=1),
-        env=make_environment(share, size.kb_per_s),
+        env=make_environment(frames.context_share, size.kb_per_s),
         control=make_controller(ActionSet(tuple(modes), (0,))),
         trace=default_trace_params()._replace(phase_spread_s=jnp.float32(PHASE_SPREAD_S)),
         scheduler=default_params(),
@@ -107,3 +151,10 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
     arch = Architecture(n_views=x.shape[1], view_dim=x.shape[2], latent=max(PREFIXES), hidden=256, last_hidden=128)
     config = TrainConfig(arch=arch, prefixes=PREFIXES, steps=size.steps, batch=size.batch)
     return jax.tree.map(jnp.asarray, data), SystemConfig(config, tuple(modes), mixed=size.mixed)
+
+
+def held_out_rows(frames: JoinedDrives) -> np.ndarray:
+    """[R, T] rows of each held-out drive, all as long as the shortest."""
+    rows = [np.flatnonzero(frames.drive == drive) for drive in range(frames.training, frames.drive[-1] + 1)]
+    slots = min(map(len, rows))
+    return np.stack([of_drive[:slots] for of_drive in rows])

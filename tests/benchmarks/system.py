@@ -36,18 +36,19 @@ import jax.numpy as jnp
 import numpy as np
 import torch
 
-from ovibjax.control.actions import ActionSet
+from ovibjax.control.actions import ActionSet, SweptActions
 from ovibjax.control.client_state import ControlParams
+from ovibjax.control.drives import embedded_drives
 from ovibjax.control.environment import draw
-from ovibjax.control.residuals import encode_views, mix_frames
+from ovibjax.control.residuals import encode_views
 from ovibjax.control.route_replay import simulate
-from ovibjax.control.scene import embedded_drives
+from ovibjax.encoder.checkpoint import mix_frames
 from ovibjax.encoder.model import dense_layers
 from ovibjax.scheduling.queue_replay import waits
 from ovibjax.scheduling.requests import RequestTrace
 from ovibjax.scheduling.rules import POLICIES, default_params
-from ovibjax.system import chain as system
-from ovibjax.system.data import SystemSize, make_system
+from ovibjax.system import stages
+from ovibjax.system.data import SystemData, SystemSize, make_system
 from ovibjax.system.grids import sweep_system
 from ovibjax.views import mode_mask
 from tests.benchmarks.scheduler import simpy_replay
@@ -61,7 +62,7 @@ VS = (0.0, 1.0, 4.0, 8.0, 16.0, 64.0)
 TRAINING_ROUTES = 3
 
 
-def numpy_retrieval(params: Any, data: system.SystemData, masks: np.ndarray, k: int) -> np.ndarray:
+def numpy_retrieval(params: Any, data: SystemData, masks: np.ndarray, k: int) -> np.ndarray:
     """[A, F] retrieved references, leave one out, as one writes it in NumPy."""
     layers = {name: (np.asarray(d["kernel"]), np.asarray(d["bias"])) for name, d in dense_layers(params).items()}
     x = np.asarray(data.x).reshape(len(data.x), -1)
@@ -140,19 +141,19 @@ def main() -> None:
     _, train_s = timed(
         lambda: train_member(0, hypers, mixed, np.zeros((len(mixed), 3), np.float32), static.train), repeats=1
     )
-    params = jax.jit(system.train, static_argnames="static")(train_key, point, data, static)
+    params = jax.jit(stages.train, static_argnames="static")(train_key, point, data, static)
     masks = np.stack([np.asarray(mode_mask(mode, 5)) for mode in static.modes])
     k = 16
     retrieved, retrieve_s = timed(lambda: numpy_retrieval(params, data, masks, k))
-    actions = system.SweptActions(modes=static.modes, k=jnp.int32(k))
+    actions = SweptActions(modes=static.modes, k=jnp.int32(k))
     flat = data.x.reshape(len(data.x), -1)
     codes = jnp.stack([encode_views(params, flat, jnp.asarray(mask), static.train.arch) for mask in masks])
-    routes, _ = system.localize(params, codes, jnp.asarray(masks), jnp.int32(k), data, static)
+    routes, _ = stages.localize(params, codes, jnp.asarray(masks), jnp.int32(k), data, static)
     places = np.asarray(data.positions_m)[np.asarray(data.references)]
     theirs = (places[retrieved] - np.asarray(data.positions_m)).transpose(1, 0, 2)[np.asarray(data.routes)]
     same = float(np.mean(np.all(np.abs(theirs - np.asarray(routes.residual_m)) < 1e-3, axis=-1)))
     print(f"NumPy retrieves what ours does in {100 * same:.2f} % of frames and modes")
-    history = system.replay_clients(route_key, routes, actions, data, static)
+    history = stages.replay_clients(route_key, routes, actions, data, static)
     one = jax.tree.map(lambda leaf: leaf[0], routes)
     draws = draw(jax.random.fold_in(route_key, 0), one, data.env, actions)
     params_control = ControlParams(data.env, data.control)
@@ -162,7 +163,7 @@ def main() -> None:
     ours_sent = np.asarray(simulate(draws, one, "voi", params_control, actions).sent)
     agree = bool(np.array_equal(np.asarray(replayed["sent"], bool), ours_sent))
     print(f"The Python replay sends in the same slots: {agree}")
-    workload = system.arrivals(queue_key, history, routes, actions, data, static)
+    workload = stages.arrivals(queue_key, history, routes, actions, data, static)
     trace = RequestTrace(*(np.asarray(leaf)[0] for leaf in workload.requests))
     keep = np.asarray(trace.valid)
     trace = RequestTrace(*(leaf[keep] for leaf in trace))
@@ -171,7 +172,7 @@ def main() -> None:
         got, serve_s[rule] = timed(lambda rule=rule: simpy_replay(trace, rule, queue.PAPER_V, queue.PAPER_WEIGHTS), 1)
         worst = float(np.max(np.abs(got - np.asarray(waits(trace, rule, default_params())))))
         print(f"SimPy serves {keep.sum()} requests by {rule} in {serve_s[rule]:.2f} s, waits within {worst:.3f} ms")
-    replays = {rule: len(VS) if rule in system.USES_V else 1 for rule in POLICIES}
+    replays = {rule: len(VS) if rule in stages.USES_V else 1 for rule in POLICIES}
     servers = len(data.fleet)
     parts = {
         f"PyTorch training: {members} x {train_s:.1f} s": members * train_s,

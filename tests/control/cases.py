@@ -1,4 +1,4 @@
-"""Synthetic routes, worlds and controllers, and their translation for the oracle."""
+"""Synthetic drives, routes, worlds and controllers, and their translation for the oracle."""
 
 from functools import partial
 
@@ -13,9 +13,12 @@ from ovibjax.control.controller import make_controller
 from ovibjax.control.environment import Route, draw, make_environment
 from ovibjax.control.planning import FOLLOW_VOI, plan
 from ovibjax.control.policies import POLICIES
+from ovibjax.encoder.checkpoint import CheckpointConfig
+from ovibjax.features.frames import FeatureSet
 from tests.oracles import control as oracle
 
 SLOTS = 60
+TINY = CheckpointConfig(rank=8, steps=20, batch=32, mixed=64, hidden=32, last_hidden=16)
 PREDICTED = np.array(
     [[8, 7, 3, 2.5, 2.8, 2.3, 2.6, 2.2], [12, 11, 5, 4.5, 4, 3.5, 3, 2.5], [9, 8, 2, 1.9, 4, 3.9, 5, 0]]
 )
@@ -30,6 +33,21 @@ def make_route(seed, slots=SLOTS, actions=8):
     residual += 40.0 * (rng.random((slots, actions, 1)) < 0.1) * rng.normal(size=(slots, actions, 2))
     yaw = np.cumsum(rng.normal(scale=0.3, size=slots))
     return Route(context.astype(np.int32), *(jnp.asarray(x, jnp.float32) for x in (yaw, predicted, residual)))
+
+
+def drive(seed, n=120, views=5, d=24, known=1.0):
+    """A drive along a curve; features are smooth functions of the position."""
+    rng = np.random.default_rng(seed)
+    yaw = np.cumsum(rng.normal(scale=0.05, size=n)).astype(np.float32)
+    steps = 1.6 * np.stack([np.cos(yaw), np.sin(yaw), np.zeros(n)], -1)
+    place = np.cumsum(steps, axis=0).astype(np.float32)
+    waves = np.random.default_rng(0)
+    features = np.cos(0.05 * place[:, :2] @ waves.normal(size=(2, views * d)) + waves.uniform(0, 6, views * d))
+    features = features.reshape(n, views, d)
+    features = (features / np.linalg.norm(features, axis=-1, keepdims=True)).astype(np.float32)
+    context = np.where(rng.random(n) < known, rng.integers(0, 3, n), -1).astype(np.int32)
+    ids = np.array([f"{i:06d}" for i in range(n)])
+    return FeatureSet(features, place, yaw, context, np.zeros(n, np.int32), ids)
 
 
 def environment(**changes):

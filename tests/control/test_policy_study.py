@@ -11,7 +11,8 @@ from ovibjax.control import policy_study as module
 from ovibjax.control.actions import ACTIONS
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.policies import POLICIES
-from ovibjax.control.policy_study import Setting, candidates, seeds_to_keys, stack_routes, study, take
+from ovibjax.control.policy_search import candidates, take
+from ovibjax.control.policy_study import RoutesAndSeeds, Setting, seeds_to_keys, stack_routes, study
 from tests.control.cases import QUICK_RULES, controller, draw_jit, environment, for_oracle, make_route
 from tests.oracles import control as oracle
 
@@ -28,10 +29,8 @@ def inputs(seed, tuning, held_out, scales, budgets):
         environment(**ENV),
         tried._replace(prices=prices),
         controller(rules=QUICK_RULES).rules,
-        stack_routes([make_route(seed + i, SLOTS + i) for i in range(2)]),
-        seeds_to_keys(tuning),
-        stack_routes([make_route(seed + 10 + i, SLOTS) for i in range(3)]),
-        seeds_to_keys(held_out),
+        RoutesAndSeeds(stack_routes([make_route(seed + i, SLOTS + i) for i in range(2)]), seeds_to_keys(tuning)),
+        RoutesAndSeeds(stack_routes([make_route(seed + 10 + i, SLOTS) for i in range(3)]), seeds_to_keys(held_out)),
         ACTIONS,
     )
 
@@ -61,7 +60,7 @@ def run_oracle(policy, key, route, env, control):
 def test_search_equals_the_oracle_and_takes_the_lowest_risk(found, setting):
     arguments, outcome = found
     env, tried = at(arguments, setting)
-    training, keys = arguments[4:6]
+    training, keys = arguments[4]
     risks, by_rule = np.zeros((2, 2, 2, COUNT))
     for r in range(2):
         route = jax.tree.map(lambda leaf, r=r: leaf[r], training)
@@ -93,7 +92,7 @@ def test_search_equals_the_oracle_and_takes_the_lowest_risk(found, setting):
 def test_held_out_policies_equal_the_oracle(found, setting):
     arguments, outcome = found
     env, _ = at(arguments, setting)
-    held_out, keys = arguments[6:8]
+    held_out, keys = arguments[5]
     assert tuple(sorted(outcome.held_out)) == tuple(sorted((*POLICIES, "tuned_uncertainty")))
     control = jax.tree.map(lambda leaf: jnp.asarray(leaf[setting]), outcome.control)
     tuned = jax.tree.map(lambda leaf: jnp.asarray(leaf[setting]), outcome.tuned)

@@ -8,12 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ovibjax.control import route_replay as replay
-from ovibjax.control.actions import ACTIONS
+from ovibjax.control.actions import ACTIONS, actions_for
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.planning import FOLLOW_VOI
 from ovibjax.control.policies import POLICIES
-from ovibjax.control.residuals import actions_for
-from ovibjax.control.route_summary import score, summarize
 from tests.control.cases import (
     BUSY,
     EAGER,
@@ -30,7 +28,6 @@ from tests.control.cases import (
     simulate,
     world,
 )
-from tests.oracles import control as oracle
 
 SEEDS = range(4)
 
@@ -134,14 +131,6 @@ def test_ground_vehicle():
         assert expected["sent"].sum() > 3
 
 
-def test_actions():
-    listed = oracle.action_list()
-    np.testing.assert_array_equal(ACTIONS.payload_bytes, [size for _, _, size in listed])
-    np.testing.assert_array_equal(ACTIONS.prefix, [k for _, k, _ in listed])
-    assert ACTIONS.names == ("F-C", "F-R", "FS-C", "FS-R", "H4-C", "H4-R", "A5-C", "A5-R")
-    assert [ACTIONS.index(mode, k) for mode, k, _ in listed] == list(range(len(ACTIONS)))
-
-
 LEAVES = {
     "threshold_m": [0.0, 1.0, 2.5],
     "min_gap_s": [0.0, 1.0, 4.0],
@@ -188,28 +177,6 @@ def test_simulate_replays_voi_control_first():
     whole = jax.jit(replay.simulate, static_argnames="policy")(draws, route, "random", params)
     jax.tree.map(np.testing.assert_array_equal, whole, simulate(draws, route, "random", params))
     assert whole.sent.sum() == simulate(draws, route, "voi", params).sent.sum() > 3
-
-
-@pytest.mark.parametrize("policy", ["voi", pytest.param("periodic", marks=pytest.mark.long)])
-def test_score_equals_the_summary_of_the_history(policy):
-    params, route = world("weak link"), make_route(6)
-    keys = jax.random.split(jax.random.key(6), 3)
-
-    def one(key):
-        draws = draw_jit(key, route, params.env, ACTIONS)
-        return score(draws, route, policy, params)
-
-    scores = jax.jit(jax.vmap(one))(keys)
-    for i, key in enumerate(keys):
-        history = simulate(draw_jit(key, route, params.env, ACTIONS), route, policy, params)
-        summary = summarize(history)
-        for name in ("mean_m", "risk_m", "requests", "kb"):
-            np.testing.assert_allclose(getattr(scores, name)[i], getattr(summary, name), rtol=1e-4, err_msg=name)
-        assert np.isnan(scores.p95_m[i]) and int(summary.requests) > 0
-        errors = np.asarray(history.error_m, np.float64)
-        np.testing.assert_allclose(summary.mean_m, errors.mean(), rtol=1e-5)
-        np.testing.assert_allclose(summary.p95_m, np.percentile(errors, 95), rtol=1e-5)
-        assert float(summary.kb) == np.asarray(history.payload_bytes).sum() / 1024
 
 
 def test_policies_that_share_a_seed_share_the_world():

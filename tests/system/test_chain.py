@@ -7,14 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ovibjax.control.actions import ActionSet
-from ovibjax.control.residuals import Checkpoint, encode_views, fit_predictor, residuals_m
+from ovibjax.control.actions import ActionSet, SweptActions
+from ovibjax.control.predictor import fit_predictor, predictor_of_known
+from ovibjax.control.residuals import encode_views, residuals_m
 from ovibjax.edge.service import EDGE
+from ovibjax.encoder.checkpoint import Checkpoint
 from ovibjax.features.basis import ViewBasis
 from ovibjax.features.frames import make_feature_set
 from ovibjax.link.payload import request_bytes
 from ovibjax.scheduling.queue_replay import waits
-from ovibjax.system import chain as system
+from ovibjax.system import chain, stages
 from ovibjax.system.data import SystemSize, make_system
 from ovibjax.system.grids import sweep_system
 from ovibjax.views import MODES, mode_mask
@@ -55,7 +57,7 @@ def made(scene):
     return data._replace(control=control, env=env), static
 
 
-compiled = jax.jit(system.along, static_argnames="static")
+compiled = jax.jit(chain.along, static_argnames="static")
 
 
 @pytest.fixture(scope="module")
@@ -71,22 +73,22 @@ def found(made, point):
 
 
 @pytest.fixture(scope="module")
-def stages(made, point):
+def staged(made, point):
     """The same chain at the second prefix, stage by stage."""
     data, static = made
 
     @jax.jit
     def chain(key, k, data):
         train_key, route_key, queue_key = jax.random.split(key, 3)
-        params = system.train(train_key, point, data, static)
+        params = stages.train(train_key, point, data, static)
         masks = jnp.stack([mode_mask(mode, 5) for mode in static.modes])
         codes = jax.lax.map(
             lambda mask: encode_views(params, data.x.reshape(len(data.x), -1), mask, static.train.arch), masks
         )
-        actions = system.SweptActions(modes=static.modes, k=k)
-        routes, _residual_m = system.localize(params, codes, masks, k, data, static)
-        history = system.replay_clients(route_key, routes, actions, data, static)
-        return params, routes, history, system.arrivals(queue_key, history, routes, actions, data, static)
+        actions = SweptActions(modes=static.modes, k=k)
+        routes, _residual_m = stages.localize(params, codes, masks, k, data, static)
+        history = stages.replay_clients(route_key, routes, actions, data, static)
+        return params, routes, history, stages.arrivals(queue_key, history, routes, actions, data, static)
 
     return jax.device_get(chain(jax.random.key(7), jnp.int32(KS[1]), data))
 
@@ -94,15 +96,15 @@ def stages(made, point):
 @pytest.mark.long
 def test_metrics_have_the_dimensions_they_say(found):
     sizes = {"k": len(KS), "V": len(VS), "scheduler": 5}
-    assert set(found) == set(system.DIMS) and set(system.UNITS) <= set(found)
-    for name, dims in system.DIMS.items():
+    assert set(found) == set(chain.DIMS) and set(chain.UNITS) <= set(found)
+    for name, dims in chain.DIMS.items():
         assert found[name].shape == tuple(sizes[dim] for dim in dims), name
         assert np.isfinite(found[name]).all(), name
 
 
-def test_residuals_and_g_psi_are_those_of_the_control_study(made, stages):
+def test_residuals_and_g_psi_are_those_of_the_control_study(made, staged):
     data, static = made
-    params, routes, _, _ = stages
+    params, routes, _, _ = staged
     identity = ViewBasis(np.zeros((5, 6)), np.broadcast_to(np.eye(6), (5, 6, 6)), np.float32(1.0), np.ones(5))
     checkpoint = Checkpoint(params, identity, static.train.arch)
     actions = ActionSet(static.modes, (KS[1],))
@@ -117,12 +119,12 @@ def test_residuals_and_g_psi_are_those_of_the_control_study(made, stages):
 def test_a_context_that_training_never_met_has_the_median_over_all():
     residual_m = jnp.arange(10.0)[:, None]
     context, known = jnp.array([0] * 5 + [1] * 5), jnp.arange(10) < 5
-    np.testing.assert_allclose(system.predictor(residual_m, context, known, 2), [[2.0], [2.0]])
+    np.testing.assert_allclose(predictor_of_known(residual_m, context, known, 2), [[2.0], [2.0]])
 
 
 @pytest.mark.long
-def test_the_metrics_add_up_to_what_was_sent(made, stages, found):
-    history = stages[2]
+def test_the_metrics_add_up_to_what_was_sent(made, staged, found):
+    history = staged[2]
     sent = history.sent.sum(axis=1)
     np.testing.assert_array_equal(found["unserved"], 0)
     np.testing.assert_allclose(found["requests"][1], sent.mean())
@@ -130,9 +132,9 @@ def test_the_metrics_add_up_to_what_was_sent(made, stages, found):
     np.testing.assert_allclose(found["mean_route_m"][1], history.error_m.mean(), rtol=1e-5)
 
 
-def test_every_request_reaches_its_server_once_and_no_byte_is_lost(made, stages):
+def test_every_request_reaches_its_server_once_and_no_byte_is_lost(made, staged):
     data, static = made
-    _, _, history, workload = stages
+    _, _, history, workload = staged
     sent = history.sent.sum(axis=1)
     assert sent.min() > 3
     np.testing.assert_array_equal(workload.requests.valid.sum(axis=1), sent[np.asarray(data.fleet)].sum(axis=1))
@@ -149,23 +151,23 @@ def test_every_request_reaches_its_server_once_and_no_byte_is_lost(made, stages)
             assert np.ptp(workload.requests.urgency[server, rows]) == 0
     # Too little room for requests is not silent.
     tight = replace(static, requests=2)
-    few = system.arrivals(
-        *(jax.random.key(0), history, stages[1], system.SweptActions(modes=static.modes, k=jnp.int32(8)), data, tight)
+    few = stages.arrivals(
+        *(jax.random.key(0), history, staged[1], SweptActions(modes=static.modes, k=jnp.int32(8)), data, tight)
     )
-    lost = system.serve(few, history, jnp.ones(1), data, replace(tight, schedulers=("fifo",)))["unserved"]
+    lost = stages.serve(few, history, jnp.ones(1), data, replace(tight, schedulers=("fifo",)))["unserved"]
     assert int(lost[0, 0]) == int(sent[np.asarray(data.fleet)].sum()) - 2 * data.fleet.size
 
 
-def test_an_idle_server_adds_its_service_time_alone(made, stages):
+def test_an_idle_server_adds_its_service_time_alone(made, staged):
     data, static = made
-    history, routes = stages[2], stages[1]
+    history, routes = staged[2], staged[1]
     far = data._replace(fleet=jnp.array([[0]], jnp.int32))
-    actions = system.SweptActions(modes=static.modes, k=jnp.int32(KS[1]))
-    workload = system.arrivals(jax.random.key(1), history, routes, actions, far, static)
+    actions = SweptActions(modes=static.modes, k=jnp.int32(KS[1]))
+    workload = stages.arrivals(jax.random.key(1), history, routes, actions, far, static)
     one = jax.tree.map(lambda leaf: leaf[0], workload)
     valid = np.asarray(one.requests.valid)
     np.testing.assert_array_equal(np.asarray(waits(one.requests, "fifo", data.scheduler))[valid], 0.0)
-    judged = system.serve(workload, history, jnp.ones(1), far, replace(static, schedulers=("fifo",)))
+    judged = stages.serve(workload, history, jnp.ones(1), far, replace(static, schedulers=("fifo",)))
     expected = np.percentile(np.asarray(one.requests.service_ms)[valid], 95)
     np.testing.assert_allclose(judged["all_edge_p95_ms"], [[expected]], rtol=1e-5)
     floor_ms = float(EDGE.decode_ms + EDGE.retrieve_ms + EDGE.runtime_ms)
@@ -175,13 +177,13 @@ def test_an_idle_server_adds_its_service_time_alone(made, stages):
 @pytest.mark.long
 def test_a_point_alone_equals_the_grid(made, point, found):
     data, static = made
-    alone = jax.jit(system.run, static_argnames="static")
+    alone = jax.jit(chain.run, static_argnames="static")
     for i, k in enumerate(KS):
         p = 1 + i
         at = point | {"k": jnp.int32(k), "V": jnp.float32(VS[p])}
         out = alone(jax.random.key(7), at, data, static)
         for name, value in out.items():
-            expected = found[name][i] if system.DIMS[name] == ("k",) else found[name][i, p]
+            expected = found[name][i] if chain.DIMS[name] == ("k",) else found[name][i, p]
             np.testing.assert_allclose(value, expected, rtol=1e-4, err_msg=name)
 
 
@@ -201,6 +203,6 @@ def test_a_grid_is_one_program_and_holds_every_point(scene, tmp_path):
     assert float(np.ptp(grid.mean_route_m.values)) > 0
     alone = sweep_system(scene, {"beta": [1e-1], "gamma": [0.1], "seed": [101]}, ((8,), (8.0,), ("base_dpp",)))
     for name, values in alone.data_vars.items():
-        if name in system.DIMS:
+        if name in chain.DIMS:
             same = grid[name].sel({dim: alone[dim] for dim in values.dims})
             np.testing.assert_allclose(values, same, rtol=1e-4, err_msg=str(name))

@@ -1,0 +1,145 @@
+"""Drives, sequences of frames through a scene: the embedded town's or one's own; which frames the edge keeps.
+
+The embedded scene is a town of 180 m, as small as the paper's Town02, with six drives of 593 half-second slots: the
+first three are training routes, the others are held out. Town and drives were chosen by their mix of contexts alone.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from ovibjax.control.environment import PAPER_SLOTS
+from ovibjax.encoder.checkpoint import TRAIN_FRAMES
+from ovibjax.features.frames import CONTEXTS, FeatureSet
+from ovibjax.world.town.feature_set import town_features
+from ovibjax.world.town.layout import TownConfig
+
+TOWN = TownConfig(seed=2, size_m=180.0)
+
+
+DRIVES = 6
+
+
+SURVEY_M = 9.0
+"""Spacing of the edge's references. Leaving out only the frame itself would leave its neighbours, 1.5 m away, and every
+residual would be their distance; a survey every 9 m leaves the 2 to 4 m that the paper reports after a request."""
+
+
+@dataclass(frozen=True)
+class JoinedDrives:
+    """The frames of all drives of a scene, one after another; the first drives are training routes.
+
+    Attributes:
+        features: [N, M, d] unit-norm view features.
+        positions_m: [N, 3] where they were taken.
+        yaw_rad: [N] headings.
+        context: [N] route context, index into `contexts`.
+        contexts: names of the contexts; `unknown` is among them where some frame's is.
+        drive: [N] number of the drive.
+        training: how many drives are training routes.
+    """
+
+    features: np.ndarray
+    positions_m: np.ndarray
+    yaw_rad: np.ndarray
+    context: np.ndarray
+    contexts: tuple[str, ...]
+    drive: np.ndarray
+    training: int
+
+    @property
+    def known(self) -> np.ndarray:
+        """[N] bool, frames of training routes."""
+        return self.drive < self.training
+
+    @property
+    def first_frames(self) -> np.ndarray:
+        """[L, M, d] what the checkpoint is trained on: the first frames of the first drive."""
+        return self.features[: min(TRAIN_FRAMES, np.sum(self.drive == 0))]
+
+    @property
+    def references(self) -> np.ndarray:
+        """[R] ascending rows that the edge keeps."""
+        return survey(self.positions_m, self.drive, SURVEY_M)
+
+    @property
+    def context_share(self) -> np.ndarray:
+        """[C] share of the training frames in each context."""
+        return np.bincount(self.context[self.known], minlength=len(self.contexts)) / self.known.sum()
+
+
+def join_drives(sets: list[FeatureSet], training: int) -> JoinedDrives:
+    """All drives of a scene as one sequence of frames.
+
+    Args:
+        sets: one feature set per drive, frames in order.
+        training: how many of them, from the first, are training routes.
+
+    Returns:
+        The frames.
+    """
+    context, contexts = np.concatenate([s.context for s in sets]), CONTEXTS
+    if (context < 0).any():
+        context, contexts = np.where(context < 0, len(CONTEXTS), context), (*CONTEXTS, "unknown")
+    return JoinedDrives(
+        features=np.concatenate([s.features for s in sets]),
+        positions_m=np.concatenate([s.positions_m for s in sets]),
+        yaw_rad=np.concatenate([s.yaw_rad for s in sets]),
+        context=context,
+        contexts=contexts,
+        drive=np.repeat(np.arange(len(sets)), [len(s.features) for s in sets]),
+        training=training,
+    )
+
+
+def embedded_drives(
+    slots: int = PAPER_SLOTS, drives: int = DRIVES, on_frames: Callable[[int, int], None] | None = None
+) -> list[FeatureSet]:
+    """Frames of drives through the embedded town.
+
+    Args:
+        slots: slots per drive.
+        drives: number of drives; the first half are training routes.
+        on_frames: called with (done, total) as frames are rendered; not for those that the cache has.
+
+    Returns:
+        One feature set per drive.
+    """
+
+    def report(drive: int) -> Callable[[int, int], None] | None:
+        if on_frames is None:
+            return None
+        return lambda done, _: on_frames(drive * slots + done, drives * slots)
+
+    return [town_features(TOWN, slots, drive, on_frames=report(drive)) for drive in range(drives)]
+
+
+def halves(features: FeatureSet) -> list[FeatureSet]:
+    """One sequence of frames, half a second apart, as a training route (its first 60 %) and a held-out one."""
+    cut = round(0.6 * len(features.features))
+    return [jax.tree.map(lambda field, rows=rows: field[rows], features) for rows in (slice(cut), slice(cut, None))]
+
+
+def survey(positions_m: np.ndarray, drive: np.ndarray, spacing_m: float) -> np.ndarray:
+    """Frames that a survey of the scene keeps as references: one every so many metres of each drive.
+
+    Args:
+        positions_m: [N, 3] positions along the drives.
+        drive: [N] which drive a frame belongs to.
+        spacing_m: distance between kept frames; 0 keeps all.
+
+    Returns:
+        Ascending rows.
+    """
+    step_m = np.linalg.norm(np.diff(positions_m, axis=0, prepend=positions_m[:1]), axis=1)
+    kept = []
+    since = np.inf
+    for row in range(len(positions_m)):
+        new_drive = row > 0 and drive[row] != drive[row - 1]
+        since = np.inf if new_drive else since + step_m[row]
+        if since >= spacing_m:
+            kept.append(row)
+            since = 0.0
+    return np.array(kept)

@@ -1,0 +1,74 @@
+"""Which numbers suit VOI-Control: many candidate controllers, each replayed on every route and seed (paper, Section
+"View-Rate Selection").
+
+The candidate with the lowest local risk under the hard budget wins; no true error is looked at.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from ovibjax.control.actions import ActionSet
+from ovibjax.control.client_state import ControlParams
+from ovibjax.control.controller import Controller, make_controller
+from ovibjax.control.environment import Draws, Environment, Route
+from ovibjax.control.route_summary import Summary, score
+from ovibjax.control.voi import Prices
+
+
+def candidates(key: jax.Array, count: int, actions: ActionSet) -> Controller:
+    """Random configurations: prices, threshold and gap of VOI-Control, threshold and gap of the uncertainty rule.
+
+    Args:
+        key: random key.
+        count: how many.
+        actions: the action set.
+
+    Returns:
+        A controller whose leaves have leading axis [count]; prices log-uniform, the rest uniform.
+    """
+
+    def one(index: jax.Array) -> Controller:
+        u = jax.random.uniform(jax.random.fold_in(key, index), (6,))
+        base = make_controller(actions)
+        rules = base.rules._replace(uncertainty_risk_m=2.0 + 8.0 * u[4], uncertainty_gap_s=10.0 * u[5])
+        return base._replace(
+            prices=Prices(10.0 ** (4.0 * u[0] - 1.0), jnp.float32(0.0), 10.0 ** (3.0 * u[1] - 1.0)),
+            threshold_m=8.0 * u[2],
+            min_gap_s=10.0 * u[3],
+            rules=rules,
+        )
+
+    return jax.vmap(one)(jnp.arange(count))
+
+
+def search(
+    draws: Draws, routes: Route, env: Environment, tried: Controller, policy: str, actions: ActionSet
+) -> Summary:
+    """Replay every candidate on every route and seed.
+
+    Args:
+        draws: [R, S, ...] a realization per route and seed.
+        routes: [R, T, ...] routes.
+        env: the environment.
+        tried: [C] candidates.
+        policy: the policy that is searched (static).
+        actions: the action set (static).
+
+    Returns:
+        Fields [routes, seeds, candidates].
+    """
+
+    def lane(draws: Draws, route: Route) -> Summary:
+        return jax.vmap(lambda control: score(draws, route, policy, ControlParams(env, control), actions))(tried)
+
+    return jax.vmap(jax.vmap(lane, (0, None)))(draws, routes)
+
+
+def lowest_risk(searched: Summary) -> jax.Array:
+    """Position of the candidate with the lowest mean local risk over routes and seeds."""
+    return jnp.argmin(jnp.mean(searched.risk_m, axis=(0, 1)))
+
+
+def take(tried: Controller, index: jax.Array) -> Controller:
+    """One candidate."""
+    return jax.tree.map(lambda leaf: leaf[index], tried)

@@ -1,0 +1,197 @@
+"""The stages of the whole system, in the order in which data flows: train, localize, replay, arrive, serve.
+
+Each is a pure function that can be compiled on its own; `chain` puts them together.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from ovibjax.control.actions import SweptActions
+from ovibjax.control.client_state import ControlParams
+from ovibjax.control.environment import Route, draw
+from ovibjax.control.predictor import predictor_of_known
+from ovibjax.control.residuals import retrieve
+from ovibjax.control.route_replay import RouteResult, simulate
+from ovibjax.encoder.checkpoint import mix_frames
+from ovibjax.encoder.loss import make_hypers
+from ovibjax.encoder.model import Params
+from ovibjax.encoder.train import TrainData, fit
+from ovibjax.link.latency import JETSON, compute_ms_at, transmit_s
+from ovibjax.scheduling.clients import Events, Workload, client_requests, flatten, metrics
+from ovibjax.scheduling.lanes import run_grid
+from ovibjax.scheduling.rules import SchedulerParams
+from ovibjax.system.data import SystemConfig, SystemData
+
+USES_V = ("base_dpp",)
+"""Rules whose order depends on V; the shaped rule has weights instead."""
+
+
+HYPERS = ("beta", "gamma", "lr", "weight_decay", "nesting")
+"""Fields of a point that training depends on."""
+
+
+def train(key: jax.Array, point: dict[str, jax.Array], data: SystemData, static: SystemConfig) -> Params:
+    """Train the encoder by masked reconstruction; depends on beta, gamma and seed.
+
+    Args:
+        key: random key.
+        point: any of `HYPERS`.
+        data: `seen_x` is used.
+        static: static choices.
+
+    Returns:
+        Network parameters.
+    """
+    key_mix, key_fit = jax.random.split(key)
+    x = mix_frames(key_mix, data.seen_x, static.mixed)
+    given = {name: point[name] for name in HYPERS if name in point}
+    hypers = make_hypers(alpha=0.0)._replace(**given)
+    return fit(key_fit, hypers, TrainData(x, jnp.zeros((x.shape[0], 3), jnp.float32)), static.train)[0]
+
+
+def localize(
+    params: Params, codes: jax.Array, masks: jax.Array, k: jax.Array, data: SystemData, static: SystemConfig
+) -> tuple[Route, jax.Array]:
+    """Residuals of every frame and mode at a prefix, g_psi from them, and the clients' routes with both.
+
+    Args:
+        params: network parameters.
+        codes: [A, F, K] latent means by mode.
+        masks: [A, M] views of the modes.
+        k: prefix length.
+        data: scene and clients.
+        static: static choices.
+
+    Returns:
+        [C, T, ...] routes, and the mean residual of the last mode on them.
+    """
+
+    def one(mode: tuple[jax.Array, jax.Array]) -> jax.Array:
+        mu, mask = mode
+        return retrieve(params, mu, mask, k, data.references, data.own, static.train.arch)
+
+    found = jax.lax.map(one, (codes, masks))  # [A, F]
+    places_m = data.positions_m[data.references]
+    residual_m = jnp.moveaxis(places_m[found], 0, 1) - data.positions_m[:, None]
+    distance_m = jnp.linalg.norm(residual_m, axis=-1)
+    predicted_m = predictor_of_known(distance_m, data.context, data.known, data.env.drift_m2_per_s.shape[0])
+    rows = data.routes
+    routes = Route(
+        context=data.context[rows],
+        yaw_rad=data.yaw_rad[rows],
+        predicted_m=predicted_m[data.context[rows]],
+        residual_m=residual_m[rows],
+    )
+    return routes, jnp.mean(distance_m[rows, -1])
+
+
+def replay_clients(
+    key: jax.Array, routes: Route, actions: SweptActions, data: SystemData, static: SystemConfig
+) -> RouteResult:
+    """Replay request control of every client, each with its own draws of drift, channel and queue.
+
+    Args:
+        key: random key; a client's draws depend on it and the client's number alone.
+        routes: [C, T, ...] routes.
+        actions: the action set.
+        data: environment and controller.
+        static: the policy.
+
+    Returns:
+        [C, T] histories.
+    """
+
+    def one(number: jax.Array, route: Route) -> RouteResult:
+        draws = draw(jax.random.fold_in(key, number), route, data.env, actions)
+        return simulate(draws, route, static.policy, ControlParams(data.env, data.control), actions)
+
+    return jax.vmap(one)(jnp.arange(routes.context.shape[0], dtype=jnp.int32), routes)
+
+
+def arrivals(
+    key: jax.Array,
+    history: RouteResult,
+    routes: Route,
+    actions: SweptActions,
+    data: SystemData,
+    static: SystemConfig,
+) -> Workload:
+    """What the clients sent, as it reaches each edge server after encoding and transmission.
+
+    Args:
+        key: random key; a client's draws depend on it, its server and its number.
+        history: [C, T] histories.
+        routes: [C, T, ...] their routes.
+        actions: the action set.
+        data: fleet, environment, numbers of the trace.
+        static: most requests per client.
+
+    Returns:
+        Leaves [S, N E].
+    """
+
+    def record(run: RouteResult, context: jax.Array) -> tuple[Events, jax.Array]:
+        (slots,) = jnp.nonzero(run.sent, size=static.requests, fill_value=0)
+        action, risk_m = run.action[slots], run.risk_before_m[slots]
+        encode_ms = compute_ms_at(JETSON, actions.prefix)[action]
+        events = Events(
+            time_s=data.env.slot_s * slots.astype(jnp.float32),
+            mode=jnp.asarray(actions.mode)[action],
+            payload_bytes=actions.payload_bytes.astype(jnp.int32)[action],
+            voi_m=run.voi_m[slots],
+            risk_m=risk_m,
+            drift_m_per_s=data.env.drift_m2_per_s[context[slots]] / (2.0 * jnp.maximum(risk_m, 1e-6)),
+            delay_est_ms=1000.0 * run.delay_s[slots],
+            valid=jnp.arange(static.requests) < jnp.sum(run.sent.astype(jnp.int32)),
+        )
+        return events, encode_ms + 1000.0 * transmit_s(events.payload_bytes, run.rate_bps[slots])
+
+    events, uplink_ms = jax.vmap(record)(history, routes.context)
+
+    def server(number: jax.Array, members: jax.Array) -> Workload:
+        def client(n: jax.Array, which: jax.Array) -> Workload:
+            keys = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, number), n), 4)
+            mine: Events = jax.tree.map(lambda leaf: leaf[which], events)
+            return client_requests(keys, n, mine, uplink_ms[which], data.trace._replace(service=data.env.service))
+
+        return flatten(jax.vmap(client)(jnp.arange(members.shape[0], dtype=jnp.int32), members))
+
+    return jax.vmap(server)(jnp.arange(data.fleet.shape[0], dtype=jnp.int32), data.fleet)
+
+
+def serve(
+    workload: Workload, history: RouteResult, Vs: jax.Array, data: SystemData, static: SystemConfig
+) -> dict[str, jax.Array]:
+    """Replay every server's queue under every rule and V, and judge it.
+
+    Args:
+        workload: leaves [S, J].
+        history: [C, T] what the clients sent.
+        Vs: [P] values of V; rules that do not use it are replayed once.
+        data: fleet, V and weights.
+        static: the rules.
+
+    Returns:
+        [P, rules] means over the servers.
+    """
+    sent = jnp.sum(jnp.sum(history.sent.astype(jnp.int32), axis=-1)[data.fleet])
+
+    def of(scheduler: str) -> dict[str, jax.Array]:
+        swept = scheduler in USES_V
+        params = data.scheduler._replace(V=Vs) if swept else data.scheduler
+        found = run_grid(workload.requests, scheduler, params, _judge, workload)
+        judged = jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.mean(leaf, axis=0), Vs.shape), found)
+        served = jnp.broadcast_to(jnp.sum(found["served"], axis=0), Vs.shape)
+        del judged["served"]
+        return judged | {"unserved": sent - served}
+
+    rules = [of(scheduler) for scheduler in static.schedulers]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=-1), *rules)
+
+
+def _judge(workload: Workload, waits_ms: jax.Array, params: SchedulerParams) -> dict[str, jax.Array]:
+    """One replay of one server's queue."""
+    found = metrics(workload, waits_ms, params)
+    named = {f"top_{name}": value for name, value in found.top._asdict().items()}
+    named |= {f"all_{name}": value for name, value in found.every._asdict().items()}
+    return named | {"served": jnp.sum(jnp.isfinite(waits_ms).astype(jnp.int32))}
