@@ -2,15 +2,12 @@
 
 from ovibjax.cards.compression_methods import FIXED, SPARSE_PREFIXES
 from ovibjax.cards.compression_results import Results
+from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, PAPER_LATENCY_MS
 from ovibjax.link.latency import JETSON, kbytes_per_s, semantic_latency_ms
-from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, Claim, above, below, interval
-
-LINK_KB_PER_S = 8
-PAPER_LATENCY_MS = {16: 42.0, 35: 52.0, 32: 50.4, 128: 100.6}
-"""The paper's latency by prefix length at this throughput."""
+from ovibjax.report.claims import Claim, interval
 
 
-def judge_claims(results: Results, embedded: bool) -> list[Claim]:
+def compression_claims(results: Results, embedded: bool) -> list[Claim]:
     """Claims on O-VIB and its rivals.
 
     Args:
@@ -20,113 +17,133 @@ def judge_claims(results: Results, embedded: bool) -> list[Claim]:
     Returns:
         The claims, judged.
     """
-    at = {k: interval(results.at("ovib", k)) for k in (16, 35, 128)}
-    pca16 = results.at("pca", 16)
-    ratio = interval(results.at("ovib", 16) / pca16)
-    curve = results.mean_m("ovib")[:, 23:]
-    spread = interval(100 * (curve.max(axis=1) / curve.min(axis=1) - 1))
-    shorter = interval(results.at("ovib", 16) / results.at("ovib", 128))
-    ours_16 = f"{at[16].text()} m against {interval(pca16).text('m')}, ratio {ratio.text()}"
-    claims = [
-        Claim(
-            "A 16-float prefix localizes about as well as all 128: error at k = 16 at most 1.15 of that at k = 128",
-            "9.31 / 10.11 m = 0.92",
-            f"{at[16].text()} / {at[128].text('m')}, ratio {shorter.text()}",
-            below(shorter, 1.15),
-            "interval of the paired ratio at most 1.15",
-        ),
-        Claim(
+    return [
+        _short_prefix(results),
+        *_against_pca(results),
+        _orthogonality(results),
+        *(_one_model(results, k) for k in FIXED),
+        _latency(),
+        *(_town(results) if embedded else []),
+    ]
+
+
+def _short_prefix(results: Results) -> Claim:
+    short, whole = results.at("ovib", 16), results.at("ovib", 128)
+    return Claim.ratio_at_most(
+        "A 16-float prefix localizes about as well as all 128: error at k = 16 at most 1.15 of that at k = 128",
+        "9.31 / 10.11 m = 0.92",
+        f"{interval(short).text()} / {interval(whole).text('m')}, ratio {interval(short / whole).text()}",
+        1.15,
+        short,
+        whole,
+    )
+
+
+def _against_pca(results: Results) -> list[Claim]:
+    ovib, pca = results.at("ovib", 16), results.at("pca", 16)
+    error_m = {k: results.at("pca", k).mean() for k in SPARSE_PREFIXES}
+    best = min(SPARSE_PREFIXES, key=error_m.__getitem__)
+    lowest = interval(results.at("pca", best)).text("m")
+    behind = [k for k in SPARSE_PREFIXES if error_m[k] < results.at("ovib", k).mean()]
+    ahead = max((k for k in SPARSE_PREFIXES if k not in behind), default=0)
+    recoded = [interval(results.at(method, 16, recoded=True)).text("m") for method in ("ovib", "pca")]
+    return [
+        Claim.ratio_at_most(
             "O-VIB at k = 16 has at most half of PCA's error at k = 16",
             "-",
-            ours_16,
-            below(ratio, 0.5),
-            "interval of the paired ratio at most 0.5",
+            f"{interval(ovib).text()} m against {interval(pca).text('m')}, ratio {interval(ovib / pca).text()}",
+            0.5,
+            ovib,
+            pca,
         ),
-    ]
-    best_pca = min(SPARSE_PREFIXES, key=lambda k: results.at("pca", k).mean())
-    crossing = [k for k in SPARSE_PREFIXES if results.at("pca", k).mean() < results.at("ovib", k).mean()]
-    ahead = max((k for k in SPARSE_PREFIXES if k not in crossing), default=0)
-    claims.append(
-        Claim(
+        Claim.true(
             "At every payload O-VIB is at least as accurate as PCA",
             "-",
-            f"O-VIB is ahead up to k = {ahead}; PCA reaches "
-            f"{interval(results.at('pca', best_pca)).text('m')} at k = {best_pca}",
-            NOT_HELD if crossing else HELD,
+            f"O-VIB is ahead up to k = {ahead}; PCA reaches {lowest} at k = {best}",
+            not behind,
             "no prefix at which PCA's mean error is lower",
-        )
-    )
-    recoded = [interval(results.at(m, 16, recoded=True)) for m in ("ovib", "pca")]
-    claims.append(
-        Claim(
+        ),
+        Claim.reported(
             "What a re-coded database changes: references passed through the same code and prefix as the query, k = 16",
             "-",
-            f"O-VIB {recoded[0].text('m')}, PCA {recoded[1].text('m')}",
-            REPORTED,
+            f"O-VIB {recoded[0]}, PCA {recoded[1]}",
             "not part of the frozen-localizer protocol",
-        )
+        ),
+    ]
+
+
+def _orthogonality(results: Results) -> Claim:
+    ovib, vib = results.at("ovib", 35), results.at("vib", 35)
+    return Claim.less(
+        "Orthogonality helps: O-VIB below plain VIB at k = 35 (paired over seeds)",
+        "9.30 - 8.75 = 0.55 m",
+        f"VIB minus O-VIB {interval(vib - ovib).text('m')}",
+        ovib,
+        vib,
+        strict=True,
     )
-    difference = interval(results.at("vib", 35) - results.at("ovib", 35))
-    claims.append(
-        Claim(
-            "Orthogonality helps: O-VIB below plain VIB at k = 35 (paired over seeds)",
-            "9.30 - 8.75 = 0.55 m",
-            f"VIB minus O-VIB {difference.text('m')}",
-            HELD if difference.low > 0 else NOT_HELD,
-            "the whole interval of the paired difference above zero",
-        )
+
+
+def _one_model(results: Results, k: int) -> Claim:
+    worse = results.at("ovib", k) - results.at(f"fixed_{k}", k)
+    return Claim.at_most(
+        f"One scalable model replaces the fixed-rate model of K = {k}: at most 1 m worse at the same payload",
+        "-",
+        f"O-VIB minus fixed-rate {interval(worse).text('m')}",
+        1.0,
+        worse,
+        rule="interval of the paired difference at most 1 m",
     )
-    for k in FIXED:
-        gap = interval(results.at("ovib", k) - results.at(f"fixed_{k}", k))
-        claims.append(
-            Claim(
-                f"One scalable model replaces the fixed-rate model of K = {k}: at most 1 m worse at the same payload",
-                "-",
-                f"O-VIB minus fixed-rate {gap.text('m')}",
-                below(gap, 1.0),
-                "interval of the paired difference at most 1 m",
-            )
-        )
-    span = [float(semantic_latency_ms(JETSON, k, kbytes_per_s(LINK_KB_PER_S))) for k in PAPER_LATENCY_MS]
+
+
+def _latency() -> Claim:
+    rate_bps = kbytes_per_s(LINK_KB_PER_S)
+    ours = [float(semantic_latency_ms(JETSON, k, rate_bps)) for k in PAPER_LATENCY_MS]
     paper = list(PAPER_LATENCY_MS.values())
-    claims.append(
-        Claim(
-            "Latency at 8 KB/s under the Jetson profile (k = 16, 35, 32, 128); the profile is read off its table, "
-            "so this checks the payload and link arithmetic and measures nothing",
-            " / ".join(map(str, paper)) + " ms",
-            " / ".join(f"{ms:.1f}" for ms in span) + " ms",
-            HELD if max(abs(a - b) for a, b in zip(span, paper, strict=True)) <= 0.1 else NOT_HELD,
-            "each within 0.1 ms",
-        )
+    return Claim.true(
+        "Latency at 8 KB/s under the Jetson profile (k = 16, 35, 32, 128); the profile is read off its table, "
+        "so this checks the payload and link arithmetic and measures nothing",
+        " / ".join(map(str, paper)) + " ms",
+        " / ".join(f"{ms:.1f}" for ms in ours) + " ms",
+        max(abs(a - b) for a, b in zip(ours, paper, strict=True)) <= 0.1,
+        "each within 0.1 ms",
     )
-    if not embedded:
-        return claims
-    front_m, sides_m = (interval(results.raw_mode_m[mode]) for mode in ("F", "FS"))
-    front = interval(results.raw_mode_m["F"] / results.raw_mode_m["FS"])
-    expected = "expectation of the embedded town"
+
+
+def _town(results: Results) -> list[Claim]:
+    """What is expected of the embedded town."""
+    curve = results.mean_m("ovib")[:, 23:]
+    spread = 100 * (curve.max(axis=1) / curve.min(axis=1) - 1)
+    flat = curve.mean(axis=0)
+    front, sides = results.raw_mode_m["F"], results.raw_mode_m["FS"]
+    errors_m = {16: results.at("ovib", 16), 35: results.at("ovib", 35)}
+    paper, rule = {16: "9.31 m", 35: "9.18 m"}, "expectation of the embedded town"
     return [
-        *claims,
-        Claim("Error at k = 16 at most 6 m", "9.31 m", at[16].text("m"), below(at[16], 6.0), expected),
-        Claim("Error at k = 35 at most 6 m", "9.18 m", at[35].text("m"), below(at[35], 6.0), expected),
-        Claim(
+        *(
+            Claim.at_most(f"Error at k = {k} at most 6 m", paper[k], interval(e).text("m"), 6.0, e, rule=rule)
+            for k, e in errors_m.items()
+        ),
+        Claim.at_most(
             "The error curve is flat within 15 % from k = 24 to 128",
             "9.18 to 10.11 m",
-            f"{curve.mean(axis=0).min():.2f} to {curve.mean(axis=0).max():.2f} m, per seed {spread.text('%', 1)}",
-            below(spread, 15.0),
-            "interval over seeds of the largest over the smallest mean error",
+            f"{flat.min():.2f} to {flat.max():.2f} m, per seed {interval(spread).text('%', 1)}",
+            15.0,
+            spread,
+            rule="interval over seeds of the largest over the smallest mean error",
         ),
-        Claim(
+        Claim.true(
             "Validation selects a prefix between 12 and 48",
             "k = 35",
             f"k = {results.chosen}",
-            HELD if 12 <= results.chosen <= 48 else NOT_HELD,
+            12 <= results.chosen <= 48,
             "shortest prefix within one standard error of the best, all seeds together",
         ),
-        Claim(
+        Claim.ratio_at_least(
             "Front-only has at least 3 times the error of front-plus-sides on raw features",
             "-",
-            f"{front_m.text()} m / {sides_m.text()} m, ratio {front.text()}",
-            above(front, 3.0),
-            "interval of the paired ratio at least 3",
+            f"{interval(front).text()} m / {interval(sides).text('m')}, ratio {interval(front / sides).text()}",
+            3.0,
+            front,
+            sides,
         ),
     ]

@@ -5,6 +5,7 @@ own latent dimension K with the ARD prior; `pca` the linear code at the same num
 `pca` and `raw` need no training of their own and are judged with `ovib`'s localizer.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -19,6 +20,9 @@ from ovibjax.encoder.loss import Hypers, make_hypers
 from ovibjax.encoder.model import Architecture, Params
 from ovibjax.encoder.pca import fit_pca
 from ovibjax.encoder.train import TrainConfig, fit
+from ovibjax.features.basis import ViewBasis
+from ovibjax.runtime.progress import progress_bar
+from ovibjax.runtime.threads import in_threads
 from ovibjax.views import full_mode, mode_mask, modes_for
 
 LATENT = 128
@@ -124,3 +128,40 @@ def run_method(method: str, seed: int, member: MemberData, effort: Effort) -> Ou
         raw_mode_m = {name: float(jnp.mean(value.test_error_m)) for name, value in raw.items()}
     params, judged, recoded, losses = jax.device_get((params, judged, recoded, losses))
     return Outcome(params, judged, recoded, raw_mode_m, losses)
+
+
+def run_methods(
+    prepared: Mapping[int, tuple[MemberData, ViewBasis]], effort: Effort
+) -> tuple[dict[int, dict[str, Outcome]], bool]:
+    """Train and judge every method on every seed, with a progress bar; Ctrl-C keeps the seeds that are finished.
+
+    Args:
+        prepared: data and basis per seed.
+        effort: how long to train.
+
+    Returns:
+        Outcomes by method, of the seeds on which all methods are finished; and whether Ctrl-C came.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C came before any seed was finished.
+    """
+    tasks = [(seed, method) for seed in prepared for method in TRAINED]
+    finished: dict[int, dict[str, Outcome]] = {seed: {} for seed in prepared}
+
+    def work(task: tuple[int, str]) -> tuple[int, str, Outcome]:
+        seed, method = task
+        return seed, method, run_method(method, seed, prepared[seed][0], effort)
+
+    interrupted = False
+    try:
+        with progress_bar("training and judging", len(tasks)) as update:
+            update(0)
+            for done, (seed, method, outcome) in enumerate(in_threads(work, tasks), start=1):
+                finished[seed][method] = outcome
+                update(done)
+    except KeyboardInterrupt:
+        interrupted = True
+    finished = {seed: outcomes for seed, outcomes in finished.items() if len(outcomes) == len(TRAINED)}
+    if not finished:
+        raise KeyboardInterrupt
+    return finished, interrupted

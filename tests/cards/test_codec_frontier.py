@@ -4,8 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from ovibjax.cards.codec_frontier import CodecPlan, Frontier, choose_frames, fewest_bytes, judge_codecs
-from ovibjax.cards.codec_panel import claims
+from ovibjax.cards.codec_claims import codec_claims
+from ovibjax.cards.codec_frontier import Frontier, fewest_bytes
+from ovibjax.cards.codec_study import CodecPlan, choose_frames, judge_codecs
 from ovibjax.cards.compression_methods import LATENT, Outcome
 from ovibjax.edge.judging import Judged
 from ovibjax.edge.localize import ETAS
@@ -130,6 +131,6 @@ def made(factor, errors=(4.0, 3.0, 3.0), ovib=4.0):
     ],
 )
 def test_claims(frontier_, size, speed, word):
-    by_size, by_speed = claims(frontier_, link_kb_per_s=8)
+    by_size, by_speed = codec_claims(frontier_, link_kb_per_s=8)
     assert (by_size.verdict, by_speed.verdict) == (size, speed)
     assert word in by_size.ours
