@@ -13,7 +13,8 @@ from matplotlib.lines import Line2D
 
 from ovibjax.cards.job import Job
 from ovibjax.features.description import Description, describe
-from ovibjax.features.frames import CONTEXTS, FeatureSet, split_indices
+from ovibjax.features.frames import CONTEXTS, FeatureSet
+from ovibjax.features.splits import split_indices
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import HELD, REPORTED, Claim, write_claims
 from ovibjax.report.panels import sheet

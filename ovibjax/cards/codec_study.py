@@ -19,8 +19,9 @@ from ovibjax.cards.job import Job
 from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.model import Architecture
 from ovibjax.features.basis import ViewBasis, project
-from ovibjax.features.frames import FeatureSet, split_indices
+from ovibjax.features.frames import FeatureSet
 from ovibjax.features.images.codecs import CODECS, LADDERS
+from ovibjax.features.splits import split_indices
 from ovibjax.report.claims import interval
 from ovibjax.runtime.progress import progress_bar
 from ovibjax.views import full_mode, mode_mask

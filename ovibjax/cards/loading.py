@@ -5,7 +5,8 @@ from pathlib import Path
 
 from ovibjax.errors import InputError
 from ovibjax.features.feature_files import load
-from ovibjax.features.frames import MIN_QUERIES, MIN_REFERENCES, FeatureSet, require_frames
+from ovibjax.features.frames import FeatureSet
+from ovibjax.features.splits import MIN_QUERIES, MIN_REFERENCES, require_frames
 from ovibjax.runtime.progress import console, progress_bar
 from ovibjax.world.rooms.feature_set import room_features
 from ovibjax.world.rooms.room import platform_room

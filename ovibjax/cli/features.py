@@ -61,9 +61,9 @@ class Features:
 
     def run(self) -> None:
         """Run the command."""
-        from ovibjax.features.frames import MIN_FRAMES
         from ovibjax.features.images.by_path import open_source
         from ovibjax.features.images.extraction import check_out, extract
+        from ovibjax.features.splits import MIN_FRAMES
 
         check_out(self.out)
         with _steps() as on_step:

@@ -103,7 +103,7 @@ def own_frames(data: Path | None) -> "FeatureSet | None":
     if data is None:
         return None
     from ovibjax.features.feature_files import load
-    from ovibjax.features.frames import require_frames
+    from ovibjax.features.splits import require_frames
 
     own = load(data)
     require_frames(own, source=str(data))

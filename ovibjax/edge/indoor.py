@@ -151,7 +151,7 @@ def scene_data(references: FeatureSet, queries: FeatureSet, rank: int | None) ->
     """Split the references, fit the per-view basis on their training part, and project everything.
 
     Args:
-        references: at least `frames.MIN_REFERENCES` frames.
+        references: at least `splits.MIN_REFERENCES` frames.
         queries: frames of the same platform and backbone.
         rank: coordinates kept per view, at most half the training frames; None keeps all d.
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from ovibjax.encoder.train import TrainData
 from ovibjax.features.basis import ViewBasis, fit_basis, project
-from ovibjax.features.frames import FeatureSet, split_indices
+from ovibjax.features.frames import FeatureSet
+from ovibjax.features.splits import split_indices
 
 
 class Standardizer(NamedTuple):

@@ -8,11 +8,11 @@ from .feature_files import load as load
 from .feature_files import save as save
 from .frames import CONTEXTS as CONTEXTS
 from .frames import FeatureSet as FeatureSet
-from .frames import Split as Split
 from .frames import make_feature_set as make_feature_set
-from .frames import split_indices as split_indices
 from .images.by_path import open_source as open_source
 from .images.extraction import extract as extract
+from .splits import Split as Split
+from .splits import split_indices as split_indices
 
 __all__ = [
     "CONTEXTS",

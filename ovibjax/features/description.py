@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ovibjax.features.frames import CONTEXTS, FeatureSet, Split
+from ovibjax.features.frames import CONTEXTS, FeatureSet
+from ovibjax.features.splits import Split
 
 _BREAK = 10.0  # a step this many times the median is no movement but the start of another drive
 

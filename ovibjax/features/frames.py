@@ -1,7 +1,6 @@
-"""Feature sets: unit-norm view features with poses and labels, their checks, their splits."""
+"""A feature set: a unit-norm feature vector per view of each frame, with poses and labels, and the checks it passes."""
 
 import hashlib
-import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,20 +12,14 @@ from ovibjax.views import VIEWS, modes_for
 
 CONTEXTS: tuple[str, ...] = ("corridor", "intersection", "repetitive")
 """Scene contexts in label order (paper, Section "VOI-Guided Request and Mode Selection")."""
-MIN_FRAMES = 200
-"""Fewest frames worth splitting: 15 percent of them are 30 validation frames."""
 MAX_ID_CHARS = 255
 """Longest frame name."""
-MIN_REFERENCES, MIN_QUERIES = 20, 5
-"""Fewest frames of the motion-capture protocol: five spatial folds of four references each, and a few queries."""
-
 OnFrames = Callable[[int, int], None]
 """Called with the frames done so far and the frames in all."""
 
 _KIND_NAMES = {"iuf": "real numbers", "iu": "integers", "U": "text", "iuU": "text or integers"}
 _NORM_TOLERANCE = 1e-6  # float32 rounding of a unit vector stays within 1e-7
 _BLOCK_FRAMES = 1024  # bounds the float64 copies made while normalising
-_SPLIT_STREAM = 0x5911  # keeps the split's draws apart from other uses of the same seed
 
 
 class FeatureSet(NamedTuple):
@@ -41,14 +34,6 @@ class FeatureSet(NamedTuple):
     context: NDArray[np.int32]  # [N], index into CONTEXTS, -1 where unknown
     scene_id: NDArray[np.int32]  # [N], at least 0
     frame_id: NDArray[np.str_]  # [N], frame names
-
-
-class Split(NamedTuple):
-    """Frame indices of the three parts, each ascending."""
-
-    train: NDArray[np.int64]
-    val: NDArray[np.int64]
-    test: NDArray[np.int64]
 
 
 def _field(source: str, name: str, value: ArrayLike, kinds: str, shape: tuple[int | str, ...]) -> NDArray[Any]:
@@ -177,41 +162,6 @@ def make_feature_set(
         names,
     )
     return validate(FeatureSet(*fields), source)
-
-
-def require_frames(feature_set: FeatureSet, minimum: int = MIN_FRAMES, source: str = "array") -> None:
-    """Refuse a set too small for a split to mean anything.
-
-    Raises:
-        InputError: fewer than `minimum` frames.
-    """
-    n = len(feature_set.features)
-    if n < minimum:
-        raise refusal(source, f"{n} frames, but at least {minimum} frames are needed; add frames")
-
-
-def split_indices(n: int, seed: int) -> Split:
-    """Random 70/15/15 split (paper, Section "Experimental Setup": 4,994 frames give 3,495/749/750).
-
-    Args:
-        n: number of frames, at least 7 so that no part is empty.
-        seed: not negative; the same seed and n give the same split.
-
-    Returns:
-        Disjoint index arrays that cover 0..n-1.
-
-    Raises:
-        InputError: n or seed is too small.
-    """
-    n, seed = operator.index(n), operator.index(seed)
-    if n < 7:
-        raise refusal("split", f"{n} frames cannot be split 70/15/15; at least 7 are needed")
-    if seed < 0:
-        raise refusal("split", f"seed {seed} is negative; use 0 or more")
-    order = np.random.default_rng([seed, _SPLIT_STREAM]).permutation(n)
-    # Whole-number arithmetic: int(0.7 * 90) is 62.
-    train, val = 70 * n // 100, 15 * n // 100
-    return Split(*(np.sort(part) for part in np.split(order, [train, train + val])))
 
 
 def content_hash(feature_set: FeatureSet) -> str:

@@ -12,7 +12,8 @@ from ovibjax.edge.judging import Judged
 from ovibjax.edge.localize import ETAS
 from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture, init, locate
-from ovibjax.features.frames import make_feature_set, split_indices
+from ovibjax.features.frames import make_feature_set
+from ovibjax.features.splits import split_indices
 from ovibjax.report.claims import HELD, NOT_HELD
 from ovibjax.world.town.coded import CodedViews
 

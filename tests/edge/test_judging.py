@@ -10,7 +10,8 @@ from ovibjax.edge.localize import ETAS
 from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture, decode, encode, init, locate
 from ovibjax.encoder.pca import fit_pca, pca_reconstruct
-from ovibjax.features.frames import make_feature_set, split_indices
+from ovibjax.features.frames import make_feature_set
+from ovibjax.features.splits import split_indices
 from ovibjax.views import mode_mask
 
 ARCH = Architecture(n_views=4, view_dim=6, latent=8, hidden=16, last_hidden=12, head=8)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ovibjax.features.description import describe
-from ovibjax.features.frames import Split, make_feature_set
+from ovibjax.features.frames import make_feature_set
+from ovibjax.features.splits import Split
 
 
 def drives():

@@ -14,15 +14,8 @@ from hypothesis import strategies as st
 from ovibjax.errors import InputError
 from ovibjax.features import npz
 from ovibjax.features.feature_files import load, save
-from ovibjax.features.frames import (
-    CONTEXTS,
-    FeatureSet,
-    content_hash,
-    make_feature_set,
-    require_frames,
-    split_indices,
-    validate,
-)
+from ovibjax.features.frames import CONTEXTS, FeatureSet, content_hash, make_feature_set, validate
+from ovibjax.features.splits import require_frames, split_indices
 from ovibjax.views import VIEWS
 
 
