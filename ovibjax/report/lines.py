@@ -3,7 +3,7 @@
 import math
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -68,6 +68,62 @@ def line_figure(
         InputError: an unknown metric or axis, axes that exclude each other, an axis with several values left over, or
             nothing to draw.
     """
+    chosen = _choose(dataset, x, metric, hue, over)
+    data, name = chosen.data, chosen.metric
+    others = [dim for dim in data[name].dims if dim not in (chosen.x_dim, chosen.hue_dim, chosen.along)]
+    order = [chosen.hue_dim, chosen.x_dim] if chosen.hue_dim else [chosen.x_dim]
+    means, halves = (
+        np.atleast_2d(part.isel(dict.fromkeys(others, 0)).transpose(*order).values)
+        for part in average(data, data[name], chosen.along)
+    )
+    if not np.isfinite(means).any():
+        raise InputError(f"{name}: no finished member has a finite value; there is nothing to draw")
+    values = data[x].values
+    with mpl.rc_context(fig.style()):
+        figure, (ax,) = fig.panels(1, width_in=fig.COLUMN_IN, height_in=2.3)
+        log = bool((means[np.isfinite(means)] > 0).all() and np.nanmax(means) >= _LOG_SPAN * np.nanmin(means))
+        labels = [text_of(value) for value in data[hue].values] if hue else [name]
+        labels = [text if np.isfinite(row).any() else f"{text} (none)" for text, row in zip(labels, means, strict=True)]
+        (_points if values.dtype.kind not in "fiu" else _lines)(ax, values, means, halves, labels, log)
+        ax.set(xlabel=with_unit(data, x, pretty=True), ylabel=with_unit(data, name, pretty=True))
+        if log:
+            ax.set_yscale("log")
+            if np.nanmax(means) < 1e3 * np.nanmin(means):
+                fig.plain_log_ticks(ax.yaxis)
+        if hue:
+            columns = len(labels) if sum(map(len, labels)) + 5 * len(labels) < 60 else 3
+            look: dict[str, Any] = {"handlelength": 1.8, "columnspacing": 1.2, "title_fontsize": 6.5}
+            title = with_unit(data, hue, pretty=True)
+            figure.legend(loc="outside upper center", ncols=columns, title=title, **look)
+        notes = [fixed(data, others)] if others else []
+        if np.isfinite(halves).any():
+            notes.append(f"95 % intervals over {data.sizes[chosen.along]} values of {over}")
+        if lost := [f"{int(flag.sum())} {word}" for word, flag in lacking(data).items() if flag.any()]:
+            notes.append(f"without {' and '.join(lost)}")
+        ax.set_title(textwrap.fill("; ".join(notes), 66), loc="left", fontsize=6.5, color="0.35")
+    return figure
+
+
+class _Chosen(NamedTuple):
+    """What is drawn.
+
+    Attributes:
+        data: the results that are needed.
+        metric: the variable.
+        x_dim: dimension of the abscissa.
+        hue_dim: dimension with one line per point, if any.
+        along: dimension averaged over.
+    """
+
+    data: xr.Dataset
+    metric: str
+    x_dim: str
+    hue_dim: str | None
+    along: str
+
+
+def _choose(dataset: xr.Dataset, x: str, metric: str | None, hue: str | None, over: str) -> _Chosen:
+    """Metric and dimensions of a drawing, or what the user has to say first; see `line_figure`."""
     axes, known = axes_of(dataset), metrics(dataset)
     x_dim = axes[find(x, axes, "axis")]
     fits = [name for name in known if x_dim in dataset[name].dims]
@@ -96,38 +152,7 @@ def line_figure(
             f"--hue {hue}: {data.sizes[hue_dim]} lines are too many to tell apart; choose up to {len(_COLOURS)} with "
             f"--where {hue}={','.join(map(text_of, data[hue].values[:2]))},..."
         )
-    others = [dim for dim in data[name].dims if dim not in (x_dim, hue_dim, along)]
-    order = [hue_dim, x_dim] if hue_dim else [x_dim]
-    means, halves = (
-        np.atleast_2d(part.isel(dict.fromkeys(others, 0)).transpose(*order).values)
-        for part in average(data, data[name], along)
-    )
-    if not np.isfinite(means).any():
-        raise InputError(f"{name}: no finished member has a finite value; there is nothing to draw")
-    values = data[x].values
-    with mpl.rc_context(fig.style()):
-        figure, (ax,) = fig.panels(1, width_in=fig.COLUMN_IN, height_in=2.3)
-        log = bool((means[np.isfinite(means)] > 0).all() and np.nanmax(means) >= _LOG_SPAN * np.nanmin(means))
-        labels = [text_of(value) for value in data[hue].values] if hue else [name]
-        labels = [text if np.isfinite(row).any() else f"{text} (none)" for text, row in zip(labels, means, strict=True)]
-        (_points if values.dtype.kind not in "fiu" else _lines)(ax, values, means, halves, labels, log)
-        ax.set(xlabel=with_unit(data, x, pretty=True), ylabel=with_unit(data, name, pretty=True))
-        if log:
-            ax.set_yscale("log")
-            if np.nanmax(means) < 1e3 * np.nanmin(means):
-                fig.plain_log_ticks(ax.yaxis)
-        if hue:
-            columns = len(labels) if sum(map(len, labels)) + 5 * len(labels) < 60 else 3
-            look: dict[str, Any] = {"handlelength": 1.8, "columnspacing": 1.2, "title_fontsize": 6.5}
-            title = with_unit(data, hue, pretty=True)
-            figure.legend(loc="outside upper center", ncols=columns, title=title, **look)
-        notes = [fixed(data, others)] if others else []
-        if np.isfinite(halves).any():
-            notes.append(f"95 % intervals over {data.sizes[along]} values of {over}")
-        if lost := [f"{int(flag.sum())} {word}" for word, flag in lacking(data).items() if flag.any()]:
-            notes.append(f"without {' and '.join(lost)}")
-        ax.set_title(textwrap.fill("; ".join(notes), 66), loc="left", fontsize=6.5, color="0.35")
-    return figure
+    return _Chosen(data, name, x_dim, hue_dim, along)
 
 
 def _lines(ax: Axes, x: np.ndarray, means: np.ndarray, halves: np.ndarray, labels: list[str], log: bool) -> None:

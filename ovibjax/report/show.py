@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -48,37 +49,15 @@ def table(dataset: xr.Dataset, metric: str | None = None, over: str = "seed", ma
     Raises:
         InputError: an unknown metric or axis, or nothing to show.
     """
-    names = metrics(dataset) if metric is None else [find(metric, metrics(dataset), "metric")]
-    if not names:
-        raise InputError("these results hold no number with labelled dimensions; there is nothing to show")
-    captions: list[str] = []
-    if len(names) > MAX_METRICS:
-        ranked = sorted(names, key=lambda name: dataset[name].size)
-        kept = [name for name in names if name in ranked[:MAX_METRICS]]
-        captions.append(f"also: {', '.join(name for name in names if name not in kept)}; see one with --metric NAME")
-        names = kept
+    names, captions = _metrics_to_show(dataset, metric)
     data, along = prepare(dataset, names, over)
-    grid = rows = [dim for dim in grid_dims(data) if dim != along]
-    columns: list[tuple[str, np.ndarray, np.ndarray]] = []
-    for name in names:
-        values = data[name]
-        trailing = [str(dim) for dim in values.dims if dim not in (*grid, along)]
-        points = math.prod(values.sizes[dim] for dim in trailing)
-        if points > 1 and metric is None:
-            values = values.isel({dim: [-1] for dim in trailing})
-            captions.append(f"--metric {name} for every {' and '.join(axes_of(data, trailing))}")
-        elif points > MAX_COLUMNS:
-            rows, trailing = [*grid, *trailing], []
-        mean, half = (part.transpose(*rows, *trailing) for part in average(data, values, along))
-        for i, place in enumerate(labels_of(mean, trailing)):
-            head = "\n".join([with_unit(data, name), *place])
-            points = math.prod(mean.sizes[dim] for dim in rows)
-            columns.append((head, mean.values.reshape(points, -1)[:, i], half.values.reshape(points, -1)[:, i]))
-    if any(np.isfinite(half).any() for _, _, half in columns):
+    columns, rows, more = _columns(data, names, along, every_point=metric is not None)
+    captions += more
+    if any(np.isfinite(column.half).any() for column in columns):
         captions.insert(0, f"mean ± half-width of its 95 % interval over {data.sizes[along]} values of {over}")
 
     keys, notes = labels_of(data, rows, named=False), notes_on(data, along)
-    lows = [_lowest(mean) for _, mean, _ in columns]
+    lows = [_lowest(column.mean) for column in columns]
     best = {int(low.argmax()) for low in lows if low.any()}
     shown = sorted([*best, *(row for row in range(len(keys)) if row not in best)][: max(max_rows, len(best))])
     if best:
@@ -92,16 +71,66 @@ def table(dataset: xr.Dataset, metric: str | None = None, over: str = "seed", ma
     made = Table(title=Text(fixed(data, rows)), caption=Text("; ".join(captions)), box=box.SIMPLE_HEAD)
     axes = axes_of(data, rows)
     varying = [i for i, dim in enumerate(axes.values()) if data.sizes[dim] > 1]
-    for head in (*(with_unit(data, list(axes)[i]) for i in varying), *(head for head, _, _ in columns)):
+    for head in (*(with_unit(data, list(axes)[i]) for i in varying), *(column.head for column in columns)):
         made.add_column(Text(head), justify="right")
     if any(notes):
         made.add_column("note")
-    cells = [_cells(mean, half) for _, mean, half in columns]
+    cells = [_cells(column.mean, column.half) for column in columns]
     for row in shown:
         line = [Text(keys[row][i]) for i in varying]
         line += [Text(text[row], "bold" if low[row] else "") for text, low in zip(cells, lows, strict=True)]
         made.add_row(*line, *([Text(notes[row * len(notes) // len(keys)])] if any(notes) else []))
     return made
+
+
+def _metrics_to_show(dataset: xr.Dataset, metric: str | None) -> tuple[list[str], list[str]]:
+    """Names of the metric asked for, or of as many as fit side by side, and what to say of the others."""
+    names = metrics(dataset) if metric is None else [find(metric, metrics(dataset), "metric")]
+    if not names:
+        raise InputError("these results hold no number with labelled dimensions; there is nothing to show")
+    if len(names) <= MAX_METRICS:
+        return names, []
+    ranked = sorted(names, key=lambda name: dataset[name].size)
+    kept = [name for name in names if name in ranked[:MAX_METRICS]]
+    return kept, [f"also: {', '.join(name for name in names if name not in kept)}; see one with --metric NAME"]
+
+
+class _Column(NamedTuple):
+    """One column of a table.
+
+    Attributes:
+        head: metric with its unit, and the point of its trailing dimensions.
+        mean: [rows] mean over the averaged axis.
+        half: [rows] half-width of its 95 % interval.
+    """
+
+    head: str
+    mean: np.ndarray
+    half: np.ndarray
+
+
+def _columns(
+    data: xr.Dataset, names: list[str], along: str, every_point: bool
+) -> tuple[list[_Column], list[str], list[str]]:
+    """Columns of a table, the dimensions of its rows, and what to say of points that are left out."""
+    columns: list[_Column] = []
+    captions: list[str] = []
+    grid = rows = [dim for dim in grid_dims(data) if dim != along]
+    for name in names:
+        values = data[name]
+        trailing = [str(dim) for dim in values.dims if dim not in (*grid, along)]
+        points = math.prod(values.sizes[dim] for dim in trailing)
+        if points > 1 and not every_point:
+            values = values.isel({dim: [-1] for dim in trailing})
+            captions.append(f"--metric {name} for every {' and '.join(axes_of(data, trailing))}")
+        elif points > MAX_COLUMNS:
+            rows, trailing = [*grid, *trailing], []
+        mean, half = (part.transpose(*rows, *trailing) for part in average(data, values, along))
+        for i, place in enumerate(labels_of(mean, trailing)):
+            head = "\n".join([with_unit(data, name), *place])
+            points = math.prod(mean.sizes[dim] for dim in rows)
+            columns.append(_Column(head, mean.values.reshape(points, -1)[:, i], half.values.reshape(points, -1)[:, i]))
+    return columns, rows, captions
 
 
 def write_csv(dataset: xr.Dataset, path: Path) -> None:
