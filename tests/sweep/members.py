@@ -4,6 +4,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.sweep.engine import run
+from ovibjax.sweep.store import open_dataset
 from ovibjax.sweep.work import Along
 
 ROOT = Path(__file__).parents[2]
@@ -40,6 +42,28 @@ def small(key, point, shared):
     noise = jax.random.normal(key, (3,))
     wave = jnp.sin(point["rate"] * noise) + shared["offset"]
     return {"wave": wave, "sum": {"all": wave.sum(), "first": wave[0]}, "n": jnp.int32(point["rate"] * 10)}
+
+
+AXES = {"rate": [0.1, 0.2, 0.3], "seed": range(2)}
+DATA = {"offset": np.float32(1)}
+
+
+def in_order(work, pending, path):
+    return ((chunk, work.compute(chunk)) for chunk in pending)
+
+
+def begun_store(path):
+    """A store with the first two of four chunks, three of six members."""
+
+    def stop(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    options = {"store": path, "settings": {"model": "wave"}, "chunk": 2, "lanes": 1, "executor": in_order}
+    with suppress(KeyboardInterrupt):
+        run(small, AXES, DATA, on_progress=stop, **options)
+    assert int(open_dataset(path).finished.sum()) == 3
+    return path
 
 
 def cases():

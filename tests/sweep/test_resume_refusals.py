@@ -1,0 +1,121 @@
+"""A sweep is not resumed in the store of another one, and nothing there is changed."""
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from ovibjax.errors import InputError
+from ovibjax.sweep import work
+from ovibjax.sweep.engine import run
+from ovibjax.sweep.grid import Axis
+from ovibjax.sweep.store import config_of
+from ovibjax.sweep.work import Along
+from tests.sweep.members import AXES, DATA, begun_store, small, train, tree_hash
+
+
+@pytest.fixture
+def begun(tmp_path):
+    return begun_store(tmp_path / "runs" / "a.zarr")
+
+
+def other_function(key, point, shared):
+    return small(key, point, shared)
+
+
+def refusal(path, **changes):
+    options = {"fn": small, "axes": AXES, "shared": DATA, "settings": {"model": "wave"}, **changes}
+    before = tree_hash(path.parent)
+    with pytest.raises(InputError) as caught:
+        run(store=path, **options)
+    assert tree_hash(path.parent) == before
+    message = str(caught.value)
+    assert "\n" not in message and str(path) in message and len(message) < 600, message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"axes": {**AXES, "rate": [0.1, 0.2, 0.4]}}, "axes.rate.values is [0.1, 0.2, 0.3] there and [0.1, 0.2, 0.4]"),
+        ({"axes": {**AXES, "rate": [0.1, 0.2]}}, "axes.rate"),
+        ({"axes": {**AXES, "seed": range(1, 3)}}, "axes.seed"),
+        ({"axes": {**AXES, "rate": Axis((0.1, 0.2, 0.3), "m")}}, "axes.rate.unit is absent there"),
+        ({"axes": {**AXES, "more": [1]}}, "axes.more is absent there"),
+        ({"axes": {"rate": AXES["rate"]}}, "axes.seed"),
+        ({"axes": {"seed": range(3), "rate": [0.1, 0.2, 0.3]}, "zipped": [("rate", "seed")]}, "axes.seed"),
+        ({"settings": {"model": "ripple"}}, 'settings.model is "wave" there and "ripple" here'),
+        ({"settings": {}}, "settings.model"),
+        ({"settings": {"model": "wave", "steps": 3}}, "settings.steps is absent there and 3 here"),
+        ({"shared": {"offset": np.float32(2)}}, "data is"),
+        ({"shared": Along("rate", [DATA] * 3)}, "another sweep"),
+        ({"fn": other_function}, "function is"),
+        ({"fn": lambda key, point, shared: small(key, point, shared)}, "function is"),
+        ({"fn": lambda key, point, shared: {"other": point["rate"]}}, "function is"),
+        ({"chunk": 3}, "execution."),
+        ({"chunk": 2, "lanes": 2}, "execution.lanes is 1 there and 2 here"),
+        ({"units": {"wave": "m"}}, "variables.wave.unit"),
+        ({"dims": {"wave": ["t"]}}, "variables.wave.dims"),
+        ({"dims": {"wave": ["t"]}, "coords": {"t": [1, 2, 3]}}, "wave"),
+    ],
+)
+def test_another_sweep_is_refused_and_nothing_changed(begun, changes, words):
+    assert words in refusal(begun, **changes)
+
+
+@pytest.mark.parametrize(
+    "axes", [{"rate": [0.1, 0.2, 0.3]}, {"seed": range(4)}], ids=["without the outer axis", "without an inner axis"]
+)
+def test_another_sweep_is_refused_whatever_shape_its_chunks_had(tmp_path, axes):
+    """The store's chunks, rows of several seeds, do not fit a grid that lacks an axis."""
+    path = tmp_path / "runs" / "a.zarr"
+    full = {"seed": range(4), "rate": [0.1, 0.2, 0.3]}
+
+    def fn(key, point, shared):
+        return {"y": jax.random.normal(key) + point.get("rate", 0.0)}
+
+    assert run(fn, full, store=path).attrs["config"]["execution"]["rows"] == 4
+    assert "axes." in refusal(path, fn=fn, axes=axes, shared=None)
+
+
+def test_another_static_setting_is_refused(tmp_path):
+    path = tmp_path / "runs" / "a.zarr"
+    data = {"gain": np.float32(0.1)}
+    fn = partial(train, steps=3)
+    run(fn, AXES, data, store=path)
+    assert "program is" in refusal(path, fn=partial(train, steps=4), shared=data, settings={})
+    run(fn, AXES, data, store=path)
+
+
+def test_another_version_of_jax_is_refused(begun, monkeypatch):
+    version = jax.__version__
+    monkeypatch.setattr(work.jax, "__version__", "0.99.1")
+    assert f'environment.jax is "{version}" there and "0.99.1" here' in refusal(begun)
+
+
+def test_more_devices_than_there_are_is_refused(begun, monkeypatch):
+    def held(path):
+        config = config_of(path)
+        config["execution"]["devices"] = 8
+        return config
+
+    monkeypatch.setattr(sys.modules["ovibjax.sweep.engine"], "config_of", held)
+    assert "8 devices; here are 1" in refusal(begun)
+
+
+def test_what_is_no_store_is_refused(tmp_path):
+    path = tmp_path / "thesis"
+    path.mkdir()
+    (path / "thesis.tex").write_text("text")
+    assert "no store of a sweep" in refusal(path)
+
+
+def test_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("text")
+    for path in (tmp_path / "file" / "a.zarr", Path("/proc/a.zarr")):
+        with pytest.raises(InputError) as caught:
+            run(small, AXES, DATA, store=path)
+        assert f"{path}: cannot write (" in str(caught.value) and "\n" not in str(caught.value)
