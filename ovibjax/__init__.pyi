@@ -12,6 +12,7 @@ from . import sweep as sweep
 from . import system as system
 from . import views as views
 from . import world as world
+from .cards.loading import load_features as load_features
 from .cards.reproduce import reproduce as reproduce
 from .errors import InputError as InputError
 from .features.frames import FeatureSet as FeatureSet
@@ -31,6 +32,7 @@ __all__ = [
     "encoder",
     "features",
     "link",
+    "load_features",
     "make_feature_set",
     "report",
     "reproduce",

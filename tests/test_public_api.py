@@ -10,8 +10,8 @@ import pytest
 import ovibjax as ob
 
 PUBLIC = {
-    "ovibjax": """FeatureSet InputError cards cli control edge encoder features link make_feature_set report reproduce
-        room_features runtime scheduling sweep system town_features views world""",
+    "ovibjax": """FeatureSet InputError cards cli control edge encoder features link load_features make_feature_set
+        report reproduce room_features runtime scheduling sweep system town_features views world""",
     "ovibjax.cards": "CardInterrupted Job PRESETS card_names card_paths load_card load_features load_pair",
     "ovibjax.cli": "Best Features Replay Reproduce Show SweepSystem SweepTrain Town check_options",
     "ovibjax.features": """CONTEXTS FeatureSet Split backbones describe extract fit_basis images load make_feature_set

@@ -52,7 +52,8 @@ def reproduce(
     # Whatever can be refused is refused before anything is rendered, and a refusal leaves no folder behind.
     if not data:
         _check_writable(out)
-    features, queries, source = _load(data, cards, preset, seed)
+    features, queries = _load(data, cards, preset, seed)
+    source = str(data[0]) if data else "embedded"
     _check_writable(out)
     for name in left_out:
         console.print(f"{name}: left out, it takes references and queries (--only {name} --data REF QUERY)")
@@ -93,13 +94,12 @@ def _left_out(data: Sequence[Path], cards: Mapping[str, ModuleType], chosen: boo
 
 def _load(
     data: Sequence[Path], cards: Mapping[str, ModuleType], preset: str, seed: int
-) -> tuple[FeatureSet, FeatureSet | None, str]:
-    """Features, queries if all cards take them, and where they are from."""
+) -> tuple[FeatureSet, FeatureSet | None]:
+    """Features, and queries if all cards take them."""
     try:
         if all(takes_queries(card) for card in cards.values()):
             return load_pair(data, seed)
-        features, source = load_features(data[0] if data else None, preset)
-        return features, None, source
+        return load_features(data[0] if data else None, preset), None
     except KeyboardInterrupt:
         raise CardInterrupted("interrupted while reading the data; nothing was written") from None
 

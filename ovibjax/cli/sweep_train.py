@@ -112,7 +112,7 @@ class SweepTrain:
         from ovibjax.sweep.work import Along
         from ovibjax.views import full_mode, modes_for
 
-        features, source = load_features(self.data, "full")
+        features = load_features(self.data)
         n_views = features.features.shape[1]
         modes = (full_mode(n_views),) if self.mode == ("all",) else self.mode
         for mode in modes:
@@ -131,8 +131,9 @@ class SweepTrain:
             batch=self.batch,
             precision=self.precision,
         )
-        settings = {"data": source, "rank": self.rank, "steps": self.steps, "batch": self.batch, "latent": self.latent}
-        settings |= {"prior": self.prior, "precision": self.precision, "prefix": list(prefixes), "mode": list(modes)}
+        settings: dict[str, Any] = {"data": str(self.data) if self.data else "embedded", "rank": self.rank}
+        settings |= {"steps": self.steps, "batch": self.batch, "latent": self.latent, "prior": self.prior}
+        settings |= {"precision": self.precision, "prefix": list(prefixes), "mode": list(modes)}
         with progress_bar("training", 1) as update, going_on_in(self.out):
             dataset = run(
                 TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),
