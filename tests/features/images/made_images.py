@@ -1,4 +1,4 @@
-"""Small data sets on disk, and a backbone without a network."""
+"""Small data sets on disk, a backbone without a network, and what comes of the one with the other."""
 
 import io
 import json
@@ -9,9 +9,12 @@ import numpy as np
 from PIL import Image
 
 from ovibjax.features.backbones.by_name import Backbone
+from ovibjax.features.images.by_path import open_source
+from ovibjax.features.images.extraction import extract
 from ovibjax.views import VIEWS
 
 WIDTH, HEIGHT = 12, 9
+N, BATCH = 11, 2
 MIX = np.random.default_rng(7).normal(size=(3 * 4 * 4, 6)).astype(np.float32)
 
 
@@ -78,3 +81,22 @@ def embed(inputs: np.ndarray) -> np.ndarray:
 
 def tiny_backbone(name: str = "tiny", fingerprint: str = "00", embed=embed) -> Backbone:
     return Backbone(name, fingerprint, preprocess, embed)
+
+
+def run(town, out, backbone=None, **options):
+    source = open_source(town)
+    try:
+        return extract(source, backbone or tiny_backbone(), out, **{"batch": BATCH, **options})
+    finally:
+        source.close()
+
+
+def listing(folder):
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def frames_of(path, **options):
+    source = open_source(path, **options)
+    images = [[source.read(image) for image in frame.images] for frame in source.frames]
+    source.close()
+    return source, images

@@ -1,20 +1,14 @@
-"""Sources of frames: folders, archives and tables give the same frames; incomplete ones are counted."""
+"""The released layout: a folder, an archive and what `ovibjax town` writes give the same frames; gaps are counted."""
 
-import gzip
-import io
 import json
 import math
-import tarfile
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from ovibjax.errors import InputError
 from ovibjax.features.images.by_path import open_source
-from ovibjax.features.images.decoding import decode_image
 from ovibjax.features.images.extraction import extract
-from ovibjax.features.images.gzip_access import GzipReader
 from ovibjax.views import VIEWS
 from ovibjax.world.town import files as town_files
 from ovibjax.world.town.layout import TownConfig, make_town
@@ -23,16 +17,15 @@ from ovibjax.world.town.route import context_labels, make_route
 from tests.features.images.made_images import (
     about,
     encode,
+    frames_of,
     pack,
     pixels,
     tiny_backbone,
     write,
     write_layout,
-    write_table,
 )
 
 CONFIG, N_FRAMES, SEED = TownConfig(), 5, 1
-PATTERN = "images/{view}/{frame}.png"
 
 
 def painted(town, route, frames):
@@ -51,16 +44,6 @@ def town(tmp_path_factory):
         patch.setattr(town_files, "render_frames", painted)
         town_files.write_frames(CONFIG, root, N_FRAMES, SEED)
     return root
-
-
-def frames_of(path, **options):
-    source = open_source(path, **options)
-    images = [[source.read(image) for image in frame.images] for frame in source.frames]
-    source.close()
-    return source, images
-
-
-# --- what ovibjax town writes ------------------------------------------------------------------------------
 
 
 def test_poses_and_contexts_of_the_embedded_town_come_back(town):
@@ -92,9 +75,6 @@ def test_an_archive_gives_the_same_file_as_the_folder(town, tmp_path, kind):
     assert (tmp_path / "folder.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
     assert sets["folder"].features.shape == (N_FRAMES, 5, 6)
     assert (sets["folder"].context >= 0).any()
-
-
-# --- the released data set ---------------------------------------------------------------------------------
 
 
 def test_carla_names_axes_and_other_forms(tmp_path):
@@ -167,98 +147,3 @@ def test_incomplete_frames_are_counted_with_their_reasons(tmp_path):
         with pytest.raises(InputError, match="4 frames incomplete: 2 a view is missing"):
             extract(source, tiny_backbone(), tmp_path / "x.npz", strict=True)
     assert not (tmp_path / "x.npz").exists() and not (tmp_path / "x.npz.partial").exists()
-
-
-# --- tables ------------------------------------------------------------------------------------------------
-
-
-def test_a_table_gives_its_rows_in_order(tmp_path):
-    path = write_table(tmp_path)
-    header, *rows = path.read_text().splitlines()
-    lines = [header + ",note,scene,context", rows[2] + ",hello,B,corridor", rows[0] + ',"a,b",A,', "", rows[1] + ",,A,"]
-    path.write_bytes(b"\xef\xbb\xbf" + "\r\n".join(lines).encode())
-    source, images = frames_of(path, images=PATTERN)
-    assert [frame.frame_id for frame in source.frames] == ["2", "0", "1"]
-    assert [frame.scene for frame in source.frames] == ["B", "A", "A"]
-    assert [frame.context for frame in source.frames] == [0, -1, -1]
-    assert source.frames[0].position_m == (6, 4, 30) and source.frames[0].yaw_rad == pytest.approx(math.pi / 6)
-    np.testing.assert_array_equal(decode_image(images[0][3]), pixels(2, 3))
-
-
-def test_patterns_fill_in_view_frame_and_scene(tmp_path):
-    for view in VIEWS[:4]:
-        write(tmp_path / f"A/cam_{view.lower()}_0007.jpeg", encode(pixels(1), "jpeg"))
-    table = write(tmp_path / "t.csv", b"frame,x_m,y_m,z_m,yaw_deg,scene\n7,1,2,3,4,A\n8,1,2,3,4,A\n9,,2,3,4,A\n")
-    source, _ = frames_of(table, images="{scene}/cam_{view:lower}_{frame:04d}.jpeg")
-    assert source.frames[0].images[1] == "A/cam_back_0007.jpeg" and len(source.frames) == 1
-    assert [one.reason for one in source.skipped] == ["a view is missing", "a view is missing"]
-
-
-def test_rows_without_a_pose_are_skipped(tmp_path):
-    path = write_table(tmp_path, 4)
-    path.write_text(path.read_text().replace("\n1,3,", "\n1,,").replace("\n2,6,", "\n2,nan,"))
-    source, _ = frames_of(path, images=PATTERN)
-    assert [frame.frame_id for frame in source.frames] == ["0", "3"]
-    assert [one.detail for one in source.skipped] == [f"line {line}: x_m is empty or not finite" for line in (3, 4)]
-
-
-# --- archives ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("form", [tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
-def test_long_and_foreign_names_are_read(tmp_path, form):
-    root = write_layout(tmp_path / "a", 1)
-    name = "ünï" * 40
-    with tarfile.open(tmp_path / "a.tar", "w", format=form) as tar:
-        tar.add(root, f"./{name}")
-    source, images = frames_of(tmp_path / "a.tar")
-    assert source.frames[0].images[0] == f"{name}/rgb/Front/000000.png"
-    np.testing.assert_array_equal(decode_image(images[0][4]), pixels(0, 4))
-
-
-@pytest.mark.parametrize("length", [0, 1, 2**22 - 1, 2**22, 2**22 + 1, 2**23, 13_000_000])
-def test_gzip_content_is_read_at_any_offset(tmp_path, length):
-    content = np.random.default_rng(0).bytes(length)
-    half = length // 2
-    packed = gzip.compress(content[:half], 1) + bytes(700) + gzip.compress(content[half:], 1) + bytes(300_000)
-    with write(tmp_path / "x.gz", packed).open("rb") as file:
-        reader = GzipReader("x.gz", file.fileno(), len(packed))
-        for offset in (length - 3, 0, half - 5, 2**22 - 1, 3 * 2**22 - 2, length, 10**12):
-            offset = max(offset, 0)
-            assert reader.read(100, offset) == content[offset : offset + 100]
-        reader.check_rest()
-        assert reader.read(length + 1, 0) == content
-
-
-# --- images ------------------------------------------------------------------------------------------------
-
-
-def test_every_common_mode_becomes_rgb():
-    rgb = pixels(1)
-    grey = rgb[..., 0]
-    wide = (grey.astype(np.uint16) << 8) + 200
-    alpha = np.dstack([rgb, grey])
-    palette = io.BytesIO()
-    Image.fromarray(rgb).quantize(16).save(palette, "png", transparency=bytes(range(16)))
-    cases = {
-        encode(rgb): rgb,
-        encode(alpha): rgb,
-        encode(grey): np.repeat(grey[..., None], 3, 2),
-        encode(wide): np.repeat(grey[..., None], 3, 2),
-        encode(rgb, "webp", lossless=True): rgb,
-        encode(rgb, "bmp"): rgb,
-    }
-    for content, expected in cases.items():
-        np.testing.assert_array_equal(decode_image(content), expected)
-    for content in (palette.getvalue(), encode(np.dstack([rgb, grey]), "webp"), encode(rgb, "jpeg")):
-        assert decode_image(content).shape == rgb.shape
-    cmyk = io.BytesIO()
-    Image.fromarray(rgb).convert("CMYK").save(cmyk, "jpeg")
-    assert decode_image(cmyk.getvalue()).shape == rgb.shape
-
-
-def test_orientation_marks_are_applied():
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    upright = decode_image(encode(pixels(1), "png", exif=exif))
-    np.testing.assert_array_equal(upright, np.rot90(pixels(1), -1))
