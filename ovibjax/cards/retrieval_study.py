@@ -1,233 +1,192 @@
-"""The multi-scene retrieval study: five towns, coded queries, draws of held-out queries, timings of the search.
+"""The retrieval study: a grid of scenes, tiles and tile edges judged on draws of queries, an operating point, times."""
 
-A fixed 30 % of the frames is the pool that queries are drawn from; the encoder is trained on the others, by masked
-reconstruction alone, as one code serves every scene. A draw takes its queries out of the pool, and all other frames are
-the database: uncompressed descriptors. So a query is off its references by about the spacing of the drive.
-"""
-
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.cards.synthetic_database import recombine
-from ovibjax.edge.index import build_index
-from ovibjax.edge.pruning import Asked, Pruning, judge_pruning
-from ovibjax.edge.retrieval import brute_force, coarse_to_fine
-from ovibjax.encoder.checkpoint import CheckpointConfig, train_checkpoint
-from ovibjax.encoder.model import decode, encode
-from ovibjax.encoder.train import PAPER_PREFIXES
-from ovibjax.features.basis import project
+from ovibjax.cards.job import Job
+from ovibjax.cards.retrieval_benchmark import RAW, Benchmark, Point, five_towns, judge_draw, make_benchmark
+from ovibjax.cards.retrieval_timing import time_growth, time_search
+from ovibjax.edge.pruning import Pruning
+from ovibjax.errors import InputError
 from ovibjax.features.frames import FeatureSet
-from ovibjax.world.town.feature_set import town_features
-from ovibjax.world.town.layout import TownConfig
+from ovibjax.report.claims import interval
+from ovibjax.runtime.progress import console, progress_bar
 
-TOWNS = (5, 6, 7, 8, 9)
-SIZE_M = 220.0
-FRAMES, QUERIES = 4593, 400
-"""The paper's sampled benchmark: frames in five scenes, queries among them."""
-POOL = 0.3
-RAW = 0
-"""Stands for a query that is not coded, in place of its prefix length."""
-_PREFIXES = tuple(sorted({*PAPER_PREFIXES, 35}))
-
-_judge = jax.jit(judge_pruning)
-_brute_force = jax.jit(brute_force)
+SCENES, TILES = 2, 12
+"""The paper's numbers of scenes and tiles kept."""
+TILE_COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+PREFIX = 35
+PREFIXES = (16, 35, 128, RAW)
+PRUNED, RECALL = 0.90, 0.98
+"""What is asked of an operating point: share of descriptors pruned, and recall of the right tile."""
+GROWTH_TILE_M = 30.0
+COLUMNS = ("pruned", "scene_hit", "tile_hit", "error_m", "brute_m", "error_hit_m", "brute_hit_m", "wrong_scene", "same")
+MIN_SCENE_FRAMES = 20
 
 
 @dataclass(frozen=True)
-class World:
-    """Frames of all scenes, described.
+class StudySize:
+    """How much is run.
 
     Attributes:
-        descriptor: [N, d] uncompressed descriptors of all views, in the basis fitted on training frames.
-        coded: per prefix length, [N, d] what the edge decodes; `RAW` gives `descriptor`.
-        position_m: [N, 2] positions; every scene has coordinates of its own.
-        scene: [N] int32 scene numbers.
-        pool: frames that queries are drawn from.
-        views: per scene, [F, M, d] what each view adds to the descriptor of each frame.
+        towns: embedded towns.
+        frames: frames of all of them.
+        queries: queries of a draw.
+        tuning: draws that choose the operating point, seeds 0, 1, ...
+        draws: held-out draws.
+        steps: training steps of the code.
+        edges: tile edges swept, m.
+        sizes: database sizes timed.
+        repeats: measurements of a time.
     """
 
-    descriptor: np.ndarray
-    coded: dict[int, np.ndarray]
-    position_m: np.ndarray
-    scene: np.ndarray
-    pool: np.ndarray
-    views: list[np.ndarray]
-
-    def draw(self, seed: int, queries: int) -> tuple[np.ndarray, np.ndarray]:
-        """Frames that a draw asks about, and those in its database, both ascending."""
-        asked = np.sort(np.random.default_rng([seed, 0xCF]).choice(self.pool, queries, replace=False))
-        return asked, np.setdiff1d(np.arange(len(self.scene)), asked)
+    towns: int
+    frames: int
+    queries: int
+    tuning: int
+    draws: int
+    steps: int
+    edges: tuple[float, ...]
+    sizes: tuple[int, ...]
+    repeats: int
 
 
-def five_towns(frames: int, towns: int = len(TOWNS), on_frames: Callable[[int, int], None] | None = None) -> FeatureSet:
-    """A drive through each town, as one set.
+@dataclass(frozen=True)
+class RetrievalStudy:
+    """Results.
+
+    Attributes:
+        seeds: held-out draws.
+        n_scenes: scenes of the data.
+        grid: per tile edge, outcomes [draw, scenes, tiles] on the held-out draws, at the headline prefix.
+        paper: the paper's numbers of scenes and tiles at the edge that tuning chose for them.
+        chosen: the operating point that tuning chose.
+        by_prefix: outcomes [draw] at the chosen point per prefix length.
+        times: milliseconds per query on this machine at the chosen point.
+        growth: one row per database size.
+    """
+
+    seeds: list[int]
+    n_scenes: int
+    grid: dict[float, Pruning]
+    paper: Point
+    chosen: Point
+    by_prefix: dict[int, Pruning]
+    times: dict[str, list[float]]
+    growth: list[dict[str, float]]
+
+    def at(self, point: Point, name: str) -> np.ndarray:
+        """[draws] a measure at a grid point."""
+        scenes, tiles, edge = point
+        return np.asarray(getattr(self.grid[edge], name))[:, scenes - 1, TILE_COUNTS.index(tiles)]
+
+    def median_ms(self, name: str) -> float:
+        """Median of a time."""
+        return float(np.median(self.times[name]))
+
+    def slope(self, name: str) -> float:
+        """Exponent of the database's size in a time."""
+        n = np.log([row["n"] for row in self.growth])
+        return float(np.polyfit(n, np.log([row[name] for row in self.growth]), 1)[0])
+
+
+def measure(job: Job, size: StudySize) -> RetrievalStudy:
+    """Tuning draws choose the operating point, held-out draws judge the grid, the search is timed.
 
     Args:
-        frames: frames in all, shared out equally.
-        towns: how many towns.
-        on_frames: called with (done, total) as frames are rendered.
+        job: the data and the first held-out seed.
+        size: how much is run.
 
     Returns:
-        The set; `scene_id` is the town's number.
+        The study.
+
+    Raises:
+        InputError: a scene of somebody's data has fewer than 20 frames.
     """
-    parts = [len(part) for part in np.array_split(np.arange(frames), towns)]
-    sets = []
-    for i, (seed, count) in enumerate(zip(TOWNS[:towns], parts, strict=True)):
+    features, n_scenes = _scenes(job, size)
+    queries = min(size.queries, len(features.features) // 10)
+    with console.status("training the code"):
+        benchmark = make_benchmark(features, PREFIXES, job.rank, size.steps)
+    tuning, seeds = list(range(size.tuning)), [job.seed + i for i in range(size.draws)]
+    tuned, grid = _judge_grid(benchmark, queries, n_scenes, size.edges, (tuning, seeds))
+    paper = choose(tuned, [min(SCENES, n_scenes)], [TILES])
+    chosen = choose(tuned, range(1, n_scenes + 1), TILE_COUNTS)
+    by_prefix = {k: _at_prefix(benchmark, seeds, queries, k, chosen) for k in PREFIXES}
+    with console.status("timing the search"):
+        times = time_search(benchmark, seeds[0], queries, PREFIX, chosen, 20 * size.repeats)
+    with progress_bar("timing larger databases", len(size.sizes)) as update:
+        batch = min(64, queries)
+        growth = time_growth(benchmark, size.sizes, batch, TILES, GROWTH_TILE_M, size.repeats, update)
+    return RetrievalStudy(seeds, n_scenes, grid, paper, chosen, by_prefix, times, growth)
 
-        def report(done: int, _: int, before: int = sum(parts[:i])) -> None:
-            if on_frames is not None:
-                on_frames(before + done, frames)
 
-        sets.append(town_features(TownConfig(seed=seed, size_m=SIZE_M), count, on_frames=report))
-    joined = FeatureSet(*(np.concatenate(fields) for fields in zip(*sets, strict=True)))
-    return joined._replace(scene_id=np.repeat(np.arange(towns, dtype=np.int32), parts))
+def _scenes(job: Job, size: StudySize) -> tuple[FeatureSet, int]:
+    """Somebody's scenes or the embedded towns, and how many there are."""
+    features = job.own_features
+    if features is None:
+        with progress_bar(f"rendering {size.frames} frames of {size.towns} towns", size.frames) as update:
+            features = five_towns(size.frames, size.towns, update)
+    counts = np.unique(features.scene_id, return_counts=True)[1]
+    if counts.min() < MIN_SCENE_FRAMES:
+        raise InputError(f"{job.source}: a scene has {counts.min()} frames; give every scene_id {MIN_SCENE_FRAMES}")
+    return features, len(counts)
 
 
-def make_world(features: FeatureSet, ks: Sequence[int], rank: int | None, steps: int) -> World:
-    """Train the code on the frames outside the pool, and describe all frames.
+def _judge_grid(
+    benchmark: Benchmark, queries: int, n_scenes: int, edges: Sequence[float], parts: Sequence[Sequence[int]]
+) -> list[dict[float, Pruning]]:
+    """Per part of the seeds, outcomes [draw, scenes, tiles] by tile edge, at the headline prefix."""
+    draws = [(part, edge, seed) for part, seeds in enumerate(parts) for edge in edges for seed in seeds]
+    found: list[dict[float, list[Pruning]]] = [{edge: [] for edge in edges} for _ in parts]
+    with progress_bar("draws of queries", len(draws)) as update:
+        for done, (part, edge, seed) in enumerate(draws, start=1):
+            scenes = range(1, n_scenes + 1)
+            found[part][edge].append(judge_draw(benchmark, seed, queries, PREFIX, edge, scenes, TILE_COUNTS))
+            update(done)
+    return [{edge: jax.tree.map(lambda *rows: np.stack(rows), *of) for edge, of in part.items()} for part in found]
+
+
+def choose(tuned: dict[float, Pruning], scenes: Sequence[int], tiles: Sequence[int]) -> Point:
+    """Of the points that reach the recall on tuning draws, the one that prunes most; else the one with most recall.
 
     Args:
-        features: frames of all scenes.
-        ks: prefix lengths at which queries are coded.
-        rank: coordinates kept per view; None keeps all.
-        steps: training steps.
+        tuned: outcomes [draw, scenes, tiles] by tile edge.
+        scenes: scenes kept, to choose from.
+        tiles: tiles kept, to choose from.
 
     Returns:
-        The world.
+        The operating point.
     """
-    n, n_views, dim = features.features.shape
-    order = np.random.default_rng(0xCF).permutation(n)
-    pool, training = np.sort(order[: round(POOL * n)]), np.sort(order[round(POOL * n) :])
-    config = CheckpointConfig(rank=rank or dim, steps=steps, prefixes=_PREFIXES, mixed=0, hidden=512, last_hidden=256)
-    checkpoint = train_checkpoint(jax.random.key(0), features.features[training], config)
-    x = project(checkpoint.basis, features.features)
-    flat = x.reshape(n, -1)
+    points = [Point(s, t, edge) for edge in tuned for s in scenes for t in tiles]
 
-    @jax.jit
-    def code(x: jax.Array, k: jax.Array) -> jax.Array:
-        mu, _ = encode(checkpoint.params, x, checkpoint.arch)
-        kept = (jnp.arange(checkpoint.arch.latent) < k).astype(jnp.float32)
-        return decode(checkpoint.params, mu * kept[None], checkpoint.arch)
+    def mean(point: Point, name: str) -> float:
+        values = np.asarray(getattr(tuned[point.tile_m], name))
+        return float(values[:, point.scenes - 1, TILE_COUNTS.index(point.tiles)].mean())
 
-    scene = np.unique(features.scene_id, return_inverse=True)[1].ravel().astype(np.int32)
-    blocks = np.zeros((n, n_views, *x.shape[1:]), np.float32)
-    blocks[:, np.arange(n_views), np.arange(n_views)] = x
-    blocks = blocks.reshape(n, n_views, -1)
-    return World(
-        descriptor=flat,
-        coded={k: flat if k == RAW else np.asarray(code(jnp.asarray(flat), jnp.int32(k))) for k in ks},
-        position_m=features.positions_m[:, :2].astype(np.float32),
-        scene=scene,
-        pool=pool,
-        views=[blocks[scene == s] for s in range(scene.max() + 1)],
-    )
+    enough = [point for point in points if mean(point, "tile_hit") >= RECALL]
+    if enough:
+        return max(enough, key=lambda point: mean(point, "pruned"))
+    return max(points, key=lambda point: mean(point, "tile_hit"))
 
 
-def judge_draw(
-    world: World, seed: int, queries: int, k: int, tile_m: float, scenes: Sequence[int], tiles: Sequence[int]
-) -> Pruning:
-    """Judge a grid of scenes and tiles kept on one draw of queries.
-
-    Args:
-        world: the frames.
-        seed: the draw.
-        queries: how many.
-        k: prefix length of the coded queries, or `RAW`.
-        tile_m: edge of a tile.
-        scenes: scene prototypes kept.
-        tiles: tile prototypes kept.
-
-    Returns:
-        Means over the queries, [scenes, tiles], on the host.
-    """
-    asked, kept = world.draw(seed, queries)
-    index = build_index(world.descriptor[kept], world.position_m[kept], world.scene[kept], tile_m)
-    truth = Asked(
-        jnp.asarray(world.coded[k][asked]), jnp.asarray(world.position_m[asked]), jnp.asarray(world.scene[asked])
-    )
-    grid = (jnp.asarray(scenes, jnp.int32), jnp.asarray(tiles, jnp.int32))
-    judged: Pruning = jax.device_get(_judge(truth, index, jnp.asarray(world.position_m[kept]), *grid))
-    return judged
+def _at_prefix(benchmark: Benchmark, seeds: Sequence[int], queries: int, k: int, at: Point) -> Pruning:
+    rows = [judge_draw(benchmark, seed, queries, k, at.tile_m, [at.scenes], [at.tiles]) for seed in seeds]
+    return jax.tree.map(lambda *draws: np.stack(draws)[:, 0, 0], *rows)
 
 
-def time_search(
-    world: World, seed: int, queries: int, k: int, point: tuple[int, int, float], repeats: int
-) -> dict[str, list[float]]:
-    """Milliseconds per query on this machine, one query at a time and all in one batch, after warming up.
-
-    Args:
-        world: the frames.
-        seed: the draw.
-        queries: how many.
-        k: prefix length of the coded queries.
-        point: scenes kept, tiles kept, tile edge.
-        repeats: measurements, by turns.
-
-    Returns:
-        Measurements of "brute_1", "fine_1", "brute_all", "fine_all".
-    """
-    asked, kept = world.draw(seed, queries)
-    scenes, tiles, tile_m = point
-    reference = jnp.asarray(world.descriptor[kept])
-    index = build_index(world.descriptor[kept], world.position_m[kept], world.scene[kept], tile_m)
-    batch = world.coded[k][asked]
-    brute = partial(_brute_force, db=reference)
-    fine = partial(coarse_to_fine, index=index, scenes=scenes, tiles=tiles)
-    work = {"brute_1": (brute, batch[:1]), "fine_1": (fine, batch[:1]), "brute_all": (brute, batch)}
-    return _by_turns({**work, "fine_all": (fine, batch)}, repeats)
-
-
-def time_growth(
-    world: World, sizes: Sequence[int], queries: int, tiles: int, tile_m: float, repeats: int, tick: Callable[[], None]
-) -> list[dict[str, float]]:
-    """Milliseconds per query as the database grows, on recombined drives.
-
-    Args:
-        world: the frames; at least two scenes, or one that is cut in two.
-        sizes: descriptors.
-        queries: queries in a batch.
-        tiles: tile prototypes kept.
-        tile_m: edge of a tile.
-        repeats: measurements; the least counts.
-        tick: called after each size.
-
-    Returns:
-        One row per size: "brute", "fine_2" with two scenes kept, "fine_all" with all, and "recall", the share of
-        queries for which the latter finds the exhaustive answer.
-    """
-    drives = world.views
-    places = [world.position_m[world.scene == s] for s in range(len(drives))]
-    rows = []
-    for n in sizes:
-        data = recombine(0, drives, places, n, queries)
-        reference = jnp.asarray(data.reference)
-        index = build_index(data.reference, data.position_m, data.scene, tile_m)
-        every = index.scene_prototype.shape[0]
-        brute = partial(_brute_force, db=reference)
-        two, full = (partial(coarse_to_fine, index=index, scenes=scenes, tiles=tiles) for scenes in (2, every))
-        times = _by_turns(
-            {"brute": (brute, data.query), "fine_2": (two, data.query), "fine_all": (full, data.query)}, repeats
-        )
-        row = {name: min(values) for name, values in times.items()}
-        recall = float(np.mean(np.asarray(full(jnp.asarray(data.query))) == np.asarray(brute(data.query))))
-        rows.append({"n": float(n), **row, "recall": recall})
-        tick()
+def table_rows(found: RetrievalStudy) -> list[dict[str, Any]]:
+    """One row per grid point: means over the held-out draws, and half-widths of their 95 % intervals."""
+    rows: list[dict[str, Any]] = []
+    for edge in found.grid:
+        for scenes in range(1, found.n_scenes + 1):
+            for tiles in TILE_COUNTS:
+                row: dict[str, Any] = {"tile_m": edge, "scenes": scenes, "tiles": tiles, "k": PREFIX}
+                for name in COLUMNS:
+                    span = interval(found.at(Point(scenes, tiles, edge), name))
+                    row |= {name: span.mean, f"{name}_half": span.half}
+                rows.append(row)
     return rows
-
-
-def _by_turns(work: dict[str, tuple[Callable[..., jax.Array], np.ndarray]], repeats: int) -> dict[str, list[float]]:
-    """Milliseconds per query of each contender, by turns, so that a busy moment falls on all."""
-    times: dict[str, list[float]] = {name: [] for name in work}
-    for turn in range(repeats + 1):
-        for name, (run, batch) in work.items():
-            start = time.perf_counter()
-            jax.block_until_ready(run(batch))
-            if turn:
-                times[name].append(1e3 * (time.perf_counter() - start) / len(batch))
-    return times

@@ -154,5 +154,5 @@ def star(ax: Axes, x: float, y: float, label: str = "", colour: str = RED) -> No
 
 
 def headroom(ax: Axes, factor: float) -> None:
-    """Raise the upper end of a linear axis by a factor, as room for a legend."""
+    """Raise the upper end of the y axis by a factor, as room for a legend."""
     ax.set_ylim(top=factor * ax.get_ylim()[1])
