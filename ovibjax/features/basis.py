@@ -1,4 +1,4 @@
-"""Per-view principal basis: centre each view's features and keep r coordinates per view.
+"""Principal components of each view: centre the features of a view and keep r coordinates of them.
 
 The reconstruction loss in an orthonormal basis equals the full one up to the energy left out, and the view mask
 keeps its meaning: a masked view is the zero vector, here the view's mean. With r = d nothing is left out.

@@ -1,5 +1,7 @@
 """Worlds made up and rendered by this project, as data that needs no download: towns to drive through, and rooms.
 
+Elsewhere in the project they are called the *embedded* town and rooms.
+
 >>> from ovibjax import world
 >>> config = world.TownConfig(seed=5)
 >>> town = world.make_town(config)

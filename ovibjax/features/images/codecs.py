@@ -28,7 +28,8 @@ from PIL import Image
 
 from ovibjax.errors import InputError
 
-Views = NDArray[np.uint8]
+Images = NDArray[np.uint8]
+"""The views of one frame, [M, H, W, 3] red, green and blue."""
 
 STILLS = {"jpeg": "JPEG", "webp": "WebP"}
 CLIPS = {"h264": "H.264", "h265": "H.265"}
@@ -56,7 +57,7 @@ _DECODERS = {"h264": "h264", "h265": "hevc"}
 _NAL = re.compile(b"\x00\x00\x00?\x01")
 
 
-def encode(codec: str, quality: int, views: Views) -> bytes:
+def encode(codec: str, quality: int, views: Images) -> bytes:
     """Code the views of one frame.
 
     Args:
@@ -91,7 +92,7 @@ def encode(codec: str, quality: int, views: Views) -> bytes:
     return head + _CRC.pack(zlib.crc32(head + body)) + body
 
 
-def decode(data: bytes) -> Views:
+def decode(data: bytes) -> Images:
     """The views that a payload shows.
 
     Args:
@@ -131,7 +132,7 @@ def video_missing() -> str:
     return ""
 
 
-def _encode_still(codec: str, quality: int, view: Views) -> bytes:
+def _encode_still(codec: str, quality: int, view: Images) -> bytes:
     stream = io.BytesIO()
     # Both with their slower, smaller modes, which a client on a thin link would choose.
     options: dict[str, Any] = {"optimize": True, "progressive": True} if codec == "jpeg" else {"method": 6}
@@ -142,7 +143,7 @@ def _encode_still(codec: str, quality: int, view: Views) -> bytes:
     return stream.getvalue()
 
 
-def _decode_still(codec: str, code: bytes, shape: tuple[int, int]) -> Views:
+def _decode_still(codec: str, code: bytes, shape: tuple[int, int]) -> Images:
     try:
         image = Image.open(io.BytesIO(code), formats=[codec])
         if image.size != shape[::-1]:  # checked before any pixel is made room for
@@ -166,7 +167,7 @@ def _av(codec: str) -> ModuleType:
     return av
 
 
-def _encode_clip(codec: str, quality: int, views: Views) -> bytes:
+def _encode_clip(codec: str, quality: int, views: Images) -> bytes:
     av = _av(codec)
     name, options = _ENCODERS[codec]
     # 4:2:0 needs even sides; the decoder cuts the repeated edge off again.
@@ -194,7 +195,7 @@ def _without_settings(stream: bytes) -> bytes:
     return b"".join(kept)
 
 
-def _decode_clip(codec: str, stream: bytes, shape: tuple[int, int, int]) -> Views:
+def _decode_clip(codec: str, stream: bytes, shape: tuple[int, int, int]) -> Images:
     av = _av(codec)
     context = av.CodecContext.create(_DECODERS[codec], "r")
     context.thread_count = 1
