@@ -1,13 +1,22 @@
 """The public face: what each room offers, that it is there and explained, and that every example runs."""
 
+import doctest
 import importlib
 import pkgutil
+import re
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ovibjax as ob
+from ovibjax.control import drives
+from ovibjax.features.frames import make_feature_set
+from ovibjax.world.town import feature_set
+
+PACKAGE = Path(ob.__file__).parent
 
 PUBLIC = {
     "ovibjax": """FeatureSet InputError cards cli control edge encoder features link load_features make_feature_set
@@ -60,3 +69,69 @@ def test_every_public_name_is_there_and_explained(package, everything):
 def test_importing_loads_no_jax():
     code = "import sys, ovibjax as ob; assert dir(ob) and ob.__version__; sys.exit('jax' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def module_of(path):
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+WITH_EXAMPLES = sorted(module_of(path) for path in PACKAGE.rglob("*.py") if ">>> " in path.read_text())
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_examples_in_docstrings_run(name):
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    failed, attempted = doctest.testmod(importlib.import_module(name), optionflags=flags)
+    assert attempted and not failed
+
+
+SMALLER = {
+    "TrainConfig(steps=2000)": "TrainConfig(steps=4)",
+    "embedded_drives()": "embedded_drives(slots=80)",
+    "SystemSize()": "SystemSize(steps=4, mixed=64, rank=6, clients=2, fleet=3, batch=16)",
+}
+"""Sizes that make an example of minutes one of seconds, by arguments that a reader could give as well."""
+
+
+def python_blocks():
+    """Every Python example of the README files; those that train are slow."""
+    for path in filter(Path.exists, (PACKAGE.parent / "README.md", PACKAGE / "README.md")):
+        for i, code in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL), start=1):
+            trains = any(whole in code for whole in SMALLER)
+            name = f"{path.relative_to(PACKAGE.parent)}, example {i}"
+            yield pytest.param(code, id=name, marks=[pytest.mark.slow] * trains)
+
+
+BLOCKS = list(python_blocks())
+
+
+def small_town(frames, route):
+    """Stands in for rendered frames: features that are smooth functions of the place, along a bent line."""
+    t = 3.0 * np.arange(frames)
+    positions_m = np.stack([t, 20 * np.sin(t / 40 + route), np.full(frames, 20.0)], axis=1)
+    mix = np.random.default_rng(0).normal(size=(3, 5 * 64)) / 30
+    noise = 0.02 * np.random.default_rng(route).normal(size=(frames, 5 * 64))
+    return make_feature_set(
+        (np.sin(positions_m @ mix) + noise).reshape(frames, 5, 64),
+        positions_m.astype(np.float32),
+        yaw_rad=np.zeros(frames),
+        context=np.arange(frames) // 10 % 3,
+    )
+
+
+@pytest.mark.parametrize("code", BLOCKS)
+def test_examples_in_readmes_run(code, monkeypatch, tmp_path, request):
+    def town_features(config=None, frames=240, route=0, **options):
+        return small_town(frames, route)
+
+    for module in (ob, feature_set, drives):
+        monkeypatch.setattr(module, "town_features", town_features)
+    monkeypatch.chdir(tmp_path)
+    for whole, small in SMALLER.items():
+        code = code.replace(whole, small)
+    exec(compile(code, request.node.name, "exec"), {})
+
+
+def test_every_size_that_is_made_smaller_is_in_an_example():
+    for whole in SMALLER:
+        assert any(whole in block.values[0] for block in BLOCKS), whole
