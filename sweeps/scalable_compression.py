@@ -32,10 +32,10 @@ def run(job: Job) -> None:
     effort = EFFORTS[job.preset]
     prepared = {job.seed + i: member_data(job.features, job.seed + i, job.rank) for i in range(SEEDS[job.preset])}
     outcomes, interrupted = run_methods(prepared, effort)
-    codecs, codec_note = None, " Image codecs are left out: the run was interrupted."
+    frontier, codec_note = None, " Image codecs are left out: the run was interrupted."
     if not interrupted:
         try:
-            codecs, codec_note = code_and_judge(job, prepared, outcomes)
+            frontier, codec_note = code_and_judge(job, prepared, outcomes)
         except KeyboardInterrupt:
             interrupted = True
     member, basis = prepared[next(iter(outcomes))]
@@ -43,10 +43,10 @@ def run(job: Job) -> None:
     write_rows(job.out / "table.csv", table_rows(results))
     basis_bytes = 4 * (basis.axes.size + basis.mean.size)
     write_rows(job.out / "overhead.csv", overhead_rows(results, measure_encoder(results, member), basis_bytes))
-    _write_codecs(job, codecs)
-    claims = [*compression_claims(results, job.embedded), *(codec_claims(codecs, LINK_KB_PER_S) if codecs else [])]
+    _write_codecs(job, frontier)
+    claims = [*compression_claims(results, job.embedded), *(codec_claims(frontier, LINK_KB_PER_S) if frontier else [])]
     write_claims(job.out / "claims.json", claims)
-    draw(job.out / "figure.png", results, codecs)
+    draw(job.out / "figure.png", results, frontier)
     view_dim, kept = member.train.x.shape[2], float(np.mean([b.energy_kept.mean() for _, b in prepared.values()]))
     losses = {method: outcome.losses for method, outcome in next(iter(outcomes.values())).items()}
     job.record(
@@ -65,11 +65,11 @@ def run(job: Job) -> None:
         )
 
 
-def _write_codecs(job: Job, codecs: Frontier | None) -> None:
+def _write_codecs(job: Job, frontier: Frontier | None) -> None:
     path = job.out / "codec.csv"
     path.unlink(missing_ok=True)  # of an earlier run on data with images
-    if codecs:
-        write_rows(path, codecs.table_rows())
+    if frontier:
+        write_rows(path, frontier.table_rows())
 
 
 def caption(results: Results, energy_kept: float, view_dim: int) -> str:

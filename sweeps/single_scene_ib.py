@@ -22,19 +22,19 @@ class Preset:
         seeds: number of seeds.
         steps: training steps of the fixed-rate models.
         lr: their peak learning rate.
-        betas: ARD weights, at gamma = 0.1.
-        gammas: orthogonality weights, at beta = 1e-3.
         fusion_seeds: seeds of the attention baseline.
         fusion_steps: its training steps.
+        betas: ARD weights, at gamma = 0.1.
+        gammas: orthogonality weights, at beta = 1e-3.
     """
 
     seeds: int
     steps: int
     lr: float
-    betas: tuple[float, ...]
-    gammas: tuple[float, ...]
     fusion_seeds: int
     fusion_steps: int
+    betas: tuple[float, ...]
+    gammas: tuple[float, ...]
 
     @property
     def over_beta(self) -> list[tuple[float, float]]:
@@ -48,9 +48,9 @@ class Preset:
 
 
 PRESETS = {
-    "smoke": Preset(2, 30, 3e-3, (1e-3, 1e-1), (0.0, 0.1), 2, 10),
-    "quick": Preset(3, 800, 3e-3, (1e-3, 1e-2, 1e-1, 3e-1), (0.0, 0.1, 1.0), 2, 300),
-    "full": Preset(10, 2000, 3e-3, (1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 3e-1), (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0), 5, 3000),
+    "smoke": Preset(2, 30, 3e-3, 2, 10, (1e-3, 1e-1), (0.0, 0.1)),
+    "quick": Preset(3, 800, 3e-3, 2, 300, (1e-3, 1e-2, 1e-1, 3e-1), (0.0, 0.1, 1.0)),
+    "full": Preset(10, 2000, 3e-3, 5, 3000, (1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 3e-1), (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)),
 }
 
 

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from ovibjax.world.town.coded import Rung
 
-RIVAL_K = 32
-"""Prefix of O-VIB that the codecs are compared with."""
-
 PAPER_LATENCY_S = {"jpeg": 4.58, "webp": 2.92, "h264": 5.04, "h265": 3.61}
 """The paper's latency at 8 KB/s, by codec."""
+
+RIVAL_K = 32
+"""Prefix of O-VIB that the codecs are compared with."""
 
 
 @dataclass(frozen=True)

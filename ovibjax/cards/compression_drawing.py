@@ -10,7 +10,8 @@ from ovibjax.cards.codec_frontier import PAPER_LATENCY_S, Frontier
 from ovibjax.cards.compression_methods import FIXED, SPARSE_PREFIXES, prefixes_of
 from ovibjax.cards.compression_results import Results
 from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, PAPER_LATENCY_MS
-from ovibjax.features.images import codecs as images
+from ovibjax.features.images.codecs import CODECS
+from ovibjax.features.images.codecs import NAMES as CODEC_NAMES
 from ovibjax.link.latency import JETSON, compute_ms_at, kbytes_per_s, transmit_s
 from ovibjax.link.payload import representation_bytes
 from ovibjax.report import figures as fig
@@ -22,19 +23,19 @@ CODEC_COLOURS = {"jpeg": fig.GREEN, "webp": fig.PURPLE, "h264": "#8C6D31", "h265
 CODEC_MARKERS = {"jpeg": "o", "webp": "v", "h264": "^", "h265": "P"}
 
 
-def draw(path: Path, results: Results, codecs: Frontier | None) -> None:
+def draw(path: Path, results: Results, frontier: Frontier | None) -> None:
     """Draw the four panels.
 
     Args:
         path: the PNG.
         results: outcomes of all methods.
-        codecs: image codecs on the same data; None leaves the paper's latency alone.
+        frontier: image codecs on the same data; None leaves the paper's latency alone.
     """
-    with sheet(path, 2, 2, height_in=2.3) as (prefixes, frontier, frames, latency):
-        _draw_prefixes(prefixes, results)
-        _draw_frontier(frontier, results, codecs)
+    with sheet(path, 2, 2, height_in=2.3) as (prefix, payload, frames, latency):
+        _draw_prefixes(prefix, results)
+        _draw_payloads(payload, results, frontier)
         _draw_frames(frames, results)
-        _draw_latency(latency, results, codecs)
+        _draw_latency(latency, results, frontier)
 
 
 def _draw_prefixes(ax: Axes, results: Results) -> None:
@@ -61,7 +62,7 @@ def _draw_prefixes(ax: Axes, results: Results) -> None:
     fig.title(ax, "a", "every rate from one model")
 
 
-def _draw_frontier(ax: Axes, results: Results, codecs: Frontier | None) -> None:
+def _draw_payloads(ax: Axes, results: Results, frontier: Frontier | None) -> None:
     def kib(method: str, ks: np.ndarray) -> np.ndarray:
         return np.array([results.payload_bytes(method, int(k)) for k in ks]) / 1024
 
@@ -75,8 +76,8 @@ def _draw_frontier(ax: Axes, results: Results, codecs: Frontier | None) -> None:
     ax.errorbar(kib("fixed", np.array(FIXED)), *fig.mean_and_half(bank), fmt="D", ms=4, **look)
     raw_kib = results.payload_bytes("raw", 0) / 1024
     ax.plot(raw_kib, results.mean_m("raw").mean(), "X", ms=6, color=COLOURS["raw"], label="raw features")
-    if codecs:
-        _draw_codecs(ax, codecs)
+    if frontier:
+        _draw_codecs(ax, frontier)
     ax.set(xlabel="payload (KB)", ylabel="mean error (m)", xscale="log", yscale="log")
     fig.plain_log_ticks(ax.yaxis)
     fig.plain_log_ticks(ax.xaxis)
@@ -84,10 +85,10 @@ def _draw_frontier(ax: Axes, results: Results, codecs: Frontier | None) -> None:
     fig.title(ax, "b", "payload and error")
 
 
-def _draw_codecs(ax: Axes, codecs: Frontier) -> None:
+def _draw_codecs(ax: Axes, frontier: Frontier) -> None:
     """Payload and error of every codec, with 95 % intervals."""
-    for codec in codecs.codecs:
-        sizes, errors = codecs.of(codec)
+    for codec in frontier.codecs:
+        sizes, errors = frontier.of(codec)
         mean, half = fig.mean_and_half(errors)
         ax.errorbar(
             sizes.mean(axis=0) / 1024,
@@ -98,7 +99,7 @@ def _draw_codecs(ax: Axes, codecs: Frontier) -> None:
             lw=0.9,
             elinewidth=0.6,
             color=CODEC_COLOURS[codec],
-            label=images.NAMES[codec],
+            label=CODEC_NAMES[codec],
         )
 
 
@@ -126,12 +127,12 @@ class Latency(NamedTuple):
     paper_ms: float | None = None
 
 
-def latencies(results: Results, codecs: Frontier | None) -> list[Latency]:
+def latencies(results: Results, frontier: Frontier | None) -> list[Latency]:
     """Latency of representations, and of image codecs.
 
     Args:
         results: outcomes of all methods.
-        codecs: image codecs; None gives the paper's figures alone.
+        frontier: image codecs; None gives the paper's figures alone.
 
     Returns:
         One row per representation, then per codec: transmission at the bytes of equal error, infinite if that is not
@@ -147,15 +148,15 @@ def latencies(results: Results, codecs: Frontier | None) -> list[Latency]:
         rows.append(Latency(label, float(compute_ms_at(JETSON, k)), sent_ms, PAPER_LATENCY_MS.get(k)))
     raw_ms = 1e3 * float(transmit_s(results.payload_bytes("raw", 0), rate_bps))
     rows.append(Latency("raw features", 0.0, raw_ms))
-    for codec in codecs.codecs if codecs else images.CODECS:
-        needed_bytes = float(codecs.equal_error_bytes(codec).mean()) if codecs else np.inf
-        label = images.NAMES[codec] + ("" if codecs else " (paper)")
+    for codec in frontier.codecs if frontier else CODECS:
+        needed_bytes = float(frontier.equal_error_bytes(codec).mean()) if frontier else np.inf
+        label = CODEC_NAMES[codec] + ("" if frontier else " (paper)")
         rows.append(Latency(label, 0.0, 1e3 * needed_bytes * 8 / rate_bps, 1e3 * PAPER_LATENCY_S[codec]))
     return rows
 
 
-def _draw_latency(ax: Axes, results: Results, codecs: Frontier | None) -> None:
-    rows = latencies(results, codecs)
+def _draw_latency(ax: Axes, results: Results, frontier: Frontier | None) -> None:
+    rows = latencies(results, frontier)
     y = np.arange(len(rows))
     encode = np.array([row.encode_ms for row in rows])
     sent = np.array([row.transmit_ms for row in rows])
@@ -169,7 +170,7 @@ def _draw_latency(ax: Axes, results: Results, codecs: Frontier | None) -> None:
             paper_ms = rows[i].paper_ms or 0.0
             # Beside the bar, or beside the paper's tick where that is as near as the text would be.
             ax.text(1.08 * (paper_ms if total < paper_ms < 2 * total else total), i, text, va="center", fontsize=6.5)
-        elif codecs:
+        elif frontier:
             ax.text(9, i, "error not reached", va="center", fontsize=6.5)
     category_axis(ax, [row.label for row in rows])
     ax.set(xlabel=f"latency at {LINK_KB_PER_S} KB/s (ms)", xscale="log", xlim=(8, 2e4))
