@@ -49,6 +49,10 @@ def mode_mask(mode: str, n_views: int = 5) -> jax.Array:
 
     Raises:
         ValueError: the mode is unknown or needs a view the platform lacks.
+
+    Example:
+        >>> mode_mask("FS").tolist()  # front, left and right
+        [1.0, 0.0, 1.0, 1.0, 0.0]
     """
     if mode not in modes_for(n_views):
         raise ValueError(f"view mode {mode!r} is not one of {', '.join(modes_for(n_views))}")

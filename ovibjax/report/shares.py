@@ -25,6 +25,11 @@ def variance_shares(metric: xarray.DataArray, axes: Sequence[str] | None = None,
 
     Raises:
         InputError: values that are not finite, or an axis that the metric does not have.
+
+    Example:
+        >>> metric = xarray.DataArray([[0.0, 1.0], [2.0, 3.0]], dims=["beta", "k"])
+        >>> variance_shares(metric)
+        {'beta': 0.8, 'k': 0.2, 'beta x k': 0.0, 'rest': 0.0}
     """
     names = [str(dim) for dim in metric.dims] if axes is None else list(axes)
     for name in names:

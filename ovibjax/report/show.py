@@ -48,6 +48,12 @@ def table(dataset: xr.Dataset, metric: str | None = None, over: str = "seed", ma
 
     Raises:
         InputError: an unknown metric or axis, or nothing to show.
+
+    Example:
+        >>> from ovibjax import sweep
+        >>> made = table(sweep.run(lambda key, point, data: {"cost": point["x"] ** 2}, {"x": [0.5, 2.0]}))
+        >>> [[str(cell) for cell in (column.header, *column.cells)] for column in made.columns]
+        [['x', '0.5', '2'], ['cost', '0.250', '4.000']]
     """
     names, captions = _metrics_to_show(dataset, metric)
     data, along = prepare(dataset, names, over)

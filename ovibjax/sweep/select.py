@@ -38,6 +38,10 @@ def best(tree: Tree, metric: Any, minimise: bool = True) -> tuple[tuple[int, ...
 
     Raises:
         InputError: no member has a finite metric.
+
+    Example:
+        >>> best({"w": np.array([[1, 2], [3, 4], [5, 6]])}, metric=[0.5, 0.1, np.nan])
+        ((1,), {'w': array([3, 4])})
     """
     values = np.asarray(metric, np.float64)
     if not np.isfinite(values).any():
