@@ -9,10 +9,10 @@ import numpy as np
 import xarray
 
 from ovibjax.cards.job import Sweep
-from ovibjax.edge.judging import judge_prefixes
-from ovibjax.edge.member import DIMS, ORDERINGS, UNITS, JudgeOrdering, TrainAndJudge, Trained
+from ovibjax.edge.judging import Trained, judge_prefixes
+from ovibjax.edge.member import DIMS, ORDERINGS, UNITS, JudgeOrdering, TrainAndJudge
 from ovibjax.encoder.data_split import MemberData
-from ovibjax.encoder.information_bounds import SingularValues, singular_values
+from ovibjax.encoder.orthogonality import SingularValues, singular_values
 from ovibjax.encoder.pca import fit_pca
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.sweep.select import tree_of
@@ -125,10 +125,9 @@ def judge_pca(static: TrainConfig, ks: tuple[int, ...], full: list[Trained]) -> 
     mask = mode_mask(full_mode(arch.n_views), arch.n_views)
 
     def one(trained: Trained) -> np.ndarray:
-        member = trained.member
-        pca = fit_pca(member.train.x.reshape(len(member.train.x), -1), arch.latent)
+        pca = fit_pca(trained.data.train.x, arch.latent)
         judge = jax.jit(judge_prefixes, static_argnames="arch")
-        judged = judge(trained.params, member, arch=arch, view_mask=mask, prefixes=jnp.array(ks), pca=pca)
+        judged = judge(trained, arch=arch, view_mask=mask, prefixes=jnp.array(ks), pca=pca)
         return np.asarray(judged.test_error_m.mean(axis=1))
 
     return np.stack([one(trained) for trained in full])

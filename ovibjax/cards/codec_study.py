@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ovibjax.cards.codec_frontier import RIVAL_K, Frontier
-from ovibjax.cards.compression_methods import LATENT, Outcome, judge_raw_jit, prefixes_of
+from ovibjax.cards.compression_methods import Outcome, architecture_of, judge_raw_jit, prefixes_of
 from ovibjax.cards.job import Job
+from ovibjax.edge.judging import Trained
 from ovibjax.encoder.data_split import MemberData
-from ovibjax.encoder.model import Architecture
 from ovibjax.features.basis import ViewBasis, project
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.images.codecs import CODECS, LADDERS
@@ -160,14 +160,13 @@ def _judge_with(
     prepared: tuple[MemberData, ViewBasis], ovib: Outcome, val_m: NDArray[np.float32], test_m: NDArray[np.float32]
 ) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
     """A function from features [V + T, M, d] of validation and test frames to errors [T] of the test frames."""
-    member, basis = prepared
-    views, dim = member.train.x.shape[1:]
-    arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
-    mask = mode_mask(full_mode(views), views)
+    data, basis = prepared
+    arch = architecture_of(data)
+    mask = mode_mask(full_mode(arch.n_views), arch.n_views)
 
     def judge(features: NDArray[np.float32]) -> NDArray[np.float32]:
         val_x, test_x = (jnp.asarray(x) for x in np.split(project(basis, features), [len(val_m)]))
-        seen = member._replace(val_x=val_x, test_x=test_x, val_m=jnp.asarray(val_m), test_m=jnp.asarray(test_m))
-        return np.asarray(judge_raw_jit(ovib.params, seen, arch, mask).test_error_m)
+        seen = data._replace(val_x=val_x, test_x=test_x, val_m=jnp.asarray(val_m), test_m=jnp.asarray(test_m))
+        return np.asarray(judge_raw_jit(Trained(seen, ovib.params), arch, mask).test_error_m)
 
     return judge

@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.edge.judging import Judged, judge_prefixes, judge_raw
+from ovibjax.edge.judging import Judged, Trained, judge_prefixes, judge_raw
 from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.loss import Hypers, make_hypers
 from ovibjax.encoder.model import Architecture, Params
 from ovibjax.encoder.pca import fit_pca
-from ovibjax.encoder.train import TrainConfig, fit
+from ovibjax.encoder.train import TrainConfig, fit, fixed_rate
 from ovibjax.features.basis import ViewBasis
 from ovibjax.runtime.progress import progress_bar
 from ovibjax.runtime.threads import in_threads
@@ -82,15 +82,18 @@ def prefixes_of(method: str) -> np.ndarray:
     return np.array([int(method.removeprefix("fixed_"))] if method.startswith("fixed_") else SPARSE_PREFIXES)
 
 
-def train_config(method: str, member: MemberData, effort: Effort) -> TrainConfig:
+def architecture_of(data: MemberData) -> Architecture:
+    """Widths of the nested models on these data."""
+    views, dim = data.train.x.shape[1:]
+    return Architecture(n_views=views, view_dim=dim, latent=LATENT)
+
+
+def train_config(method: str, data: MemberData, effort: Effort) -> TrainConfig:
     """Static choices of a trained method."""
-    views, dim = member.train.x.shape[1:]
-    arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
-    base = TrainConfig(arch=arch, steps=effort.steps, precision="bfloat16")
+    static = TrainConfig(arch=architecture_of(data), steps=effort.steps, precision="bfloat16")
     if not method.startswith("fixed_"):
-        return base
-    latent = int(method.removeprefix("fixed_"))
-    return replace(base, arch=replace(arch, latent=latent), prefixes=(latent,), prior="ard", steps=effort.fixed_steps)
+        return static
+    return replace(fixed_rate(static, int(method.removeprefix("fixed_"))), steps=effort.fixed_steps)
 
 
 def hypers_of(method: str, effort: Effort) -> Hypers:
@@ -98,32 +101,33 @@ def hypers_of(method: str, effort: Effort) -> Hypers:
     return make_hypers(gamma=0.0 if method == "vib" else 0.1, lr=effort.lr)
 
 
-def run_method(method: str, seed: int, member: MemberData, effort: Effort) -> Outcome:
+def run_method(method: str, seed: int, data: MemberData, effort: Effort) -> Outcome:
     """Train one method on one seed and judge it, in the mode that uses every view.
 
     Args:
         method: one of `TRAINED`.
         seed: initialisation, minibatch order and noise; shared by all methods.
-        member: the seed's data.
+        data: the seed's data.
         effort: how long to train.
 
     Returns:
         The outcome, on the host.
     """
-    static = train_config(method, member, effort)
+    static = train_config(method, data, effort)
     views = static.arch.n_views
-    params, losses = _fit(jax.random.key(seed), hypers_of(method, effort), member.train, static)
+    params, losses = _fit(jax.random.key(seed), hypers_of(method, effort), data.train, static)
+    trained = Trained(data, params)
     mask = mode_mask(full_mode(views), views)
-    judge = partial(_judge_prefixes, params, member, static.arch, mask)
+    judge = partial(_judge_prefixes, trained, static.arch, mask)
     judged = {method: judge(jnp.asarray(prefixes_of(method)))}
     recoded: dict[str, Judged] = {}
     raw_mode_m: dict[str, float] = {}
     if method == "ovib":
         sparse = jnp.array(SPARSE_PREFIXES)
-        pca = fit_pca(member.train.x.reshape(len(member.train.x), -1), static.arch.latent)
+        pca = fit_pca(data.train.x, static.arch.latent)
         judged["pca"] = judge(sparse, pca=pca)
         recoded = {"ovib": judge(sparse, recode=True), "pca": judge(sparse, pca=pca, recode=True)}
-        raw = {name: judge_raw_jit(params, member, static.arch, mode_mask(name, views)) for name in modes_for(views)}
+        raw = {name: judge_raw_jit(trained, static.arch, mode_mask(name, views)) for name in modes_for(views)}
         judged["raw"] = jax.tree.map(lambda x: x[None], raw[full_mode(views)])
         raw_mode_m = {name: float(jnp.mean(value.test_error_m)) for name, value in raw.items()}
     params, judged, recoded, losses = jax.device_get((params, judged, recoded, losses))

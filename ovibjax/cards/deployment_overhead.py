@@ -5,10 +5,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from ovibjax.cards.compression_methods import FIXED, LATENT
+from ovibjax.cards.compression_methods import FIXED, LATENT, architecture_of
 from ovibjax.cards.compression_results import Results
 from ovibjax.encoder.data_split import MemberData
-from ovibjax.encoder.model import Architecture, encode, parameter_bytes
+from ovibjax.encoder.model import encode, parameter_bytes
 from ovibjax.link.latency import JETSON, LatencyProfile, kbytes_per_s, measure_host, semantic_latency_ms
 
 LINK_KB_PER_S = 8
@@ -18,12 +18,11 @@ PAPER_LATENCY_MS = {16: 42.0, 35: 52.0, 32: 50.4, 128: 100.6}
 """The paper's latency at this throughput, by prefix length."""
 
 
-def measure_encoder(results: Results, member: MemberData) -> LatencyProfile:
+def measure_encoder(results: Results, data: MemberData) -> LatencyProfile:
     """Time to encode one frame on this machine, after feature extraction."""
-    views, dim = member.train.x.shape[1:]
-    arch = Architecture(n_views=views, view_dim=dim, latent=LATENT)
+    arch = architecture_of(data)
     params = next(iter(results.outcomes.values()))["ovib"].params
-    x = member.test_x[:1].reshape(1, -1)
+    x = data.test_x[:1].reshape(1, -1)
     jitted = jax.jit(lambda params, x: encode(params, x, arch)[0])
     return measure_host(lambda k: np.asarray(jitted(params, x))[:, :k], (16, 32, 35, 128))
 

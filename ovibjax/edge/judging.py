@@ -17,6 +17,18 @@ from ovibjax.encoder.model import Architecture, Params, decode, encode, locate
 from ovibjax.encoder.pca import PCA, pca_reconstruct
 
 
+class Trained(NamedTuple):
+    """A trained network with the data of its seed: the frozen localizer that codes are judged by.
+
+    Attributes:
+        data: data of the split; its training features are the database.
+        params: parameters of the network: encoder, decoder and localizer.
+    """
+
+    data: MemberData
+    params: Params
+
+
 class Judged(NamedTuple):
     """Outcome of one code, with leading axes of whatever was mapped.
 
@@ -38,19 +50,11 @@ class Judged(NamedTuple):
 Codec = Callable[[jax.Array], jax.Array]
 
 
-def judge(
-    params: Params,
-    member: MemberData,
-    arch: Architecture,
-    view_mask: jax.Array,
-    codec: Codec,
-    recode: bool = False,
-) -> Judged:
+def judge(trained: Trained, arch: Architecture, view_mask: jax.Array, codec: Codec, recode: bool = False) -> Judged:
     """Localize validation and test frames whose descriptors have passed through a codec.
 
     Args:
-        params: the frozen localizer's parameters.
-        member: data of the split; its training features are the database.
+        trained: the frozen localizer and the data of its seed.
         arch: widths of the network.
         view_mask: [M] mask of the view mode.
         codec: maps masked features [B, M r] to descriptors [B, M r].
@@ -59,19 +63,20 @@ def judge(
     Returns:
         Errors in metres and the chosen mixing weight.
     """
+    data, params = trained
     mask = jnp.repeat(view_mask, arch.view_dim)[None]
 
     def flat(x: jax.Array) -> jax.Array:
         return x.reshape(x.shape[0], -1) * mask
 
-    database = flat(member.train.x)
+    database = flat(data.train.x)
     database = codec(database) * mask if recode else database
-    n_val = member.val_x.shape[0]
-    descriptor = codec(flat(jnp.concatenate([member.val_x, member.test_x]))) * mask
-    truth = jnp.concatenate([member.val_m, member.test_m])
+    n_val = data.val_x.shape[0]
+    descriptor = codec(flat(jnp.concatenate([data.val_x, data.test_x]))) * mask
+    truth = jnp.concatenate([data.val_m, data.test_m])
     standardized = locate(params, descriptor, arch)
-    reg = member.standardizer.mean_m[None] + member.standardizer.scale_m * standardized
-    ret = member.train_m[brute_force(descriptor, database)]
+    reg = data.standardizer.mean_m[None] + data.standardizer.scale_m * standardized
+    ret = data.train_m[brute_force(descriptor, database)]
     eta = select_eta(reg[:n_val], ret[:n_val], truth[:n_val])
     error = errors(mix(reg, ret, eta), truth)
     return Judged(
@@ -84,8 +89,7 @@ def judge(
 
 
 def judge_prefixes(
-    params: Params,
-    member: MemberData,
+    trained: Trained,
     arch: Architecture,
     view_mask: jax.Array,
     prefixes: jax.Array,
@@ -96,8 +100,7 @@ def judge_prefixes(
     """Judge every prefix length of one nested code; jitted once, all prefixes are one call.
 
     Args:
-        params: parameters of the O-VIB network: encoder, decoder and frozen localizer.
-        member: data of the split.
+        trained: network with frozen localizer, and the data of its seed.
         arch: widths of the network (static).
         view_mask: [M] mask of the view mode.
         prefixes: [P] int32 prefix lengths.
@@ -116,17 +119,17 @@ def judge_prefixes(
         def codec(x: jax.Array) -> jax.Array:
             if pca is not None:
                 return pca_reconstruct(pca, x, prefix)
-            mu, _ = encode(params, x, arch)
-            return decode(params, mu * prefix[None], arch)
+            mu, _ = encode(trained.params, x, arch)
+            return decode(trained.params, mu * prefix[None], arch)
 
-        return judge(params, member, arch, view_mask, codec, recode)
+        return judge(trained, arch, view_mask, codec, recode)
 
     return jax.lax.map(one, prefixes)
 
 
-def judge_raw(params: Params, member: MemberData, arch: Architecture, view_mask: jax.Array) -> Judged:
-    """Judge uncompressed features of a view mode."""
-    return judge(params, member, arch, view_mask, lambda x: x)
+def judge_raw(trained: Trained, arch: Architecture, view_mask: jax.Array) -> Judged:
+    """Judge uncompressed features of a view mode; arguments as in `judge`."""
+    return judge(trained, arch, view_mask, lambda x: x)
 
 
 def one_standard_error_choice(val_error_m: jax.Array, prefixes: jax.Array) -> jax.Array:

@@ -1,17 +1,17 @@
 """Member functions of encoder sweeps: train at a grid point and judge, or judge a trained encoder otherwise."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from ovibjax.edge.judging import judge_prefixes
+from ovibjax.edge.judging import Trained, judge_prefixes
 from ovibjax.edge.localize import errors, summarize
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, positions_m
 from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.loss import Hypers, make_hypers
-from ovibjax.encoder.model import Architecture, Params, encode
+from ovibjax.encoder.model import Architecture, encode
 from ovibjax.encoder.rate import active_dims
 from ovibjax.encoder.train import TrainConfig, fit
 from ovibjax.views import full_mode, mode_mask
@@ -59,7 +59,7 @@ class TrainAndJudge:
         params, metrics = fit(key, hypers, member.train, self.static)
         masks = jnp.stack([mode_mask(mode, arch.n_views) for mode in self.modes])
         lengths = jnp.array(self.prefixes, jnp.int32)
-        judged = jax.lax.map(lambda mask: judge_prefixes(params, member, arch, mask, lengths), masks)
+        judged = jax.lax.map(lambda mask: judge_prefixes(Trained(member, params), arch, mask, lengths), masks)
         x = member.val_x.reshape(member.val_x.shape[0], -1)
         outputs: dict[str, Any] = {
             "val_mean_m": jnp.mean(judged.val_error_m, axis=-1),
@@ -115,18 +115,6 @@ ORDERINGS = ("learned", *(f"random_{i}" for i in range(1, 9)), "tail_first")
 """Orders in which coordinates are kept: as trained, eight random permutations, last coordinate first."""
 
 
-class Trained(NamedTuple):
-    """A trained encoder with the data of its seed.
-
-    Attributes:
-        member: data.
-        params: parameters.
-    """
-
-    member: MemberData
-    params: Params
-
-
 @dataclass(frozen=True)
 class JudgeOrdering:
     """A member function: keep k coordinates of a trained code in another order than the learned one.
@@ -157,5 +145,5 @@ class JudgeOrdering:
         order = jnp.where(ordering == len(ORDERINGS) - 1, learned[::-1], order)
         mask = mode_mask(full_mode(arch.n_views), arch.n_views)
         lengths = jnp.array(self.prefixes, jnp.int32)
-        judged = judge_prefixes(trained.params, trained.member, arch, mask, lengths, order=order)
+        judged = judge_prefixes(trained, arch, mask, lengths, order=order)
         return {"test_mean_m": jnp.mean(judged.test_error_m, axis=-1)}

@@ -50,10 +50,10 @@ def search(query: jax.Array, index: Index, scenes: int = SCENES, tiles: int = TI
     All queries are one compiled call, and batches of all sizes share a program per power of two.
 
     Args:
-        query: [Q, d] descriptors; their scale does not matter.
-        index: the database, from `build_index`.
-        scenes: scene prototypes kept per query.
-        tiles: tile prototypes kept per query, over all its scenes.
+        query: as in `retrieval.coarse_to_fine`.
+        index: as in `retrieval.coarse_to_fine`.
+        scenes: as in `retrieval.coarse_to_fine`.
+        tiles: as in `retrieval.coarse_to_fine`.
 
     Returns:
         Outcome of each query. Memory beside the index is bounded by blocks of queries.

@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.encoder.data_split import Standardizer
+from ovibjax.encoder.epochs import make_epoch, make_optimizer, schedule_of
 from ovibjax.encoder.loss import Hypers
 from ovibjax.encoder.model import Params
-from ovibjax.encoder.train import TrainConfig, TrainData, make_epoch, make_optimizer, schedule_of
+from ovibjax.encoder.train import TrainData
 from ovibjax.views import mask_table
 
 
@@ -138,8 +139,7 @@ def fit_attention(
     key_init, key_order, key_steps = jax.random.split(key, 3)
     n = data.x.shape[0]
     batch, per_epoch, epochs = schedule_of(static.steps, static.batch, n)
-    schedule = TrainConfig(steps=static.steps, batch=batch, warmup=static.warmup)
-    optimizer = make_optimizer(hypers, schedule, epochs * per_epoch)
+    optimizer = make_optimizer(hypers, static.warmup, epochs * per_epoch)
 
     def sample(count: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         view_mask = jnp.ones((batch, static.n_views), jnp.float32)

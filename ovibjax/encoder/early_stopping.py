@@ -9,9 +9,10 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from ovibjax.encoder.epochs import State
 from ovibjax.encoder.loss import Hypers
 from ovibjax.encoder.model import Params
-from ovibjax.encoder.train import State, TrainConfig, TrainData, epochs_of
+from ovibjax.encoder.train import TrainConfig, TrainData, epochs_of
 
 
 def fit_early(

@@ -1,4 +1,4 @@
-"""The paper's Lemmas 1 and 2, Theorem 1 and Proposition 1 in numbers, on a model whose informations have closed forms.
+"""The paper's information bounds in numbers (Lemmas 1 and 2, Theorem 1), on a model where both sides have closed forms.
 
 Features, task variable and encoder are linear-Gaussian, so that both sides of every inequality are exact and its gap is
 the divergence its proof drops. The two sides are computed along different routes, never one from the other: that the
@@ -83,22 +83,6 @@ class Bounds(NamedTuple):
     objective: jax.Array
     bound: jax.Array
     gap: jax.Array
-
-
-class SingularValues(NamedTuple):
-    """Proposition 1 for one matrix: lower <= values <= upper.
-
-    Attributes:
-        values: [K] singular values, descending; where K > d_h the last K - d_h are zero.
-        epsilon: spectral norm of W W^T - I, the smallest epsilon of the proposition, which asks for epsilon < 1.
-        lower: sqrt(1 - epsilon); zero where epsilon >= 1, which excludes nothing: the rank may have collapsed.
-        upper: sqrt(1 + epsilon); holds for every epsilon.
-    """
-
-    values: jax.Array
-    epsilon: jax.Array
-    lower: jax.Array
-    upper: jax.Array
 
 
 def random_model(key: jax.Array, n: int, latent: int) -> LinearGaussian:
@@ -224,25 +208,3 @@ def bounds(model: LinearGaussian, decoder: Decoder, beta: jax.Array | float) -> 
             bound=beta * rate - log_likelihood - entropy_y,
             gap=beta * marginal_kl + decoder_kl,
         )
-
-
-def singular_values(W: jax.Array) -> SingularValues:
-    """Singular values of the posterior-mean projection and the interval Proposition 1 puts them in.
-
-    Args:
-        W: [K, d_h] matrix.
-
-    Returns:
-        Values and bounds; the proposition applies where epsilon < 1.
-    """
-    size = W.shape[0]
-    with jax.default_matmul_precision("float32"):
-        values = jnp.linalg.svd(W, compute_uv=False)
-        deviation = jnp.linalg.eigvalsh(W @ W.T - jnp.eye(size, dtype=W.dtype))
-    epsilon = jnp.max(jnp.abs(deviation))
-    return SingularValues(
-        values=jnp.pad(values, (0, size - values.shape[0])),
-        epsilon=epsilon,
-        lower=jnp.sqrt(jnp.maximum(1.0 - epsilon, 0.0)),
-        upper=jnp.sqrt(1.0 + epsilon),
-    )

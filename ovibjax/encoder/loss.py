@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.encoder.model import OVIB, Architecture, Params, mean_projection, split_views
+from ovibjax.encoder.orthogonality import orthogonality_penalty
 from ovibjax.encoder.rate import ard_kl, gaussian_kl
 
 
@@ -72,35 +73,6 @@ def prefix_mask(k: jax.Array | int, K: int) -> jax.Array:
         [K] float32 (paper, eq. "prefix_mask").
     """
     return (jnp.arange(K) < k).astype(jnp.float32)
-
-
-@jax.custom_vjp
-def orthogonality_penalty(W: jax.Array) -> jax.Array:
-    """Normalised deviation of the rows of W from orthonormality, K^-2 ||W W^T - I||_F^2.
-
-    Args:
-        W: [K, d_h] posterior-mean projection.
-
-    Returns:
-        Scalar (paper, last term of eq. "composite_loss").
-    """
-    return _orthogonality_forward(W)[0]
-
-
-def _orthogonality_forward(W: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-    size = W.shape[0]
-    deviation = W @ W.T - jnp.eye(size, dtype=W.dtype)
-    return jnp.sum(deviation**2) / size**2, (W, deviation)
-
-
-def _orthogonality_backward(saved: tuple[jax.Array, jax.Array], gradient: jax.Array) -> tuple[jax.Array]:
-    # One product instead of the two of automatic differentiation, as the deviation is symmetric; written so that
-    # for a transposed kernel the transposes cancel.
-    W, deviation = saved
-    return ((4.0 / W.shape[0] ** 2) * gradient * (W.T @ deviation).T,)
-
-
-orthogonality_penalty.defvjp(_orthogonality_forward, _orthogonality_backward)
 
 
 def composite_loss(

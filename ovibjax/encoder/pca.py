@@ -20,14 +20,14 @@ def fit_pca(x: jax.Array, latent: int) -> PCA:
     """Fit principal components.
 
     Args:
-        x: [N, D] centred features.
+        x: [N, ...] centred features, D numbers each.
         latent: number of components K; at most min(N, D) are kept.
 
     Returns:
         The code.
     """
-    values, vectors = jnp.linalg.eigh(x.T @ x)
-    del values
+    x = x.reshape(len(x), -1)
+    _, vectors = jnp.linalg.eigh(x.T @ x)
     return PCA(vectors[:, ::-1][:, : min(latent, *x.shape)])
 
 

@@ -5,24 +5,17 @@ that shares a key, so members that differ in their hyperparameters are paired, a
 is one large matrix product over a shared minibatch.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 
+from ovibjax.encoder.epochs import Epoch, State, make_epoch, make_optimizer, schedule_of
 from ovibjax.encoder.loss import Batch, Hypers, composite_loss
 from ovibjax.encoder.model import Architecture, Params, init
 from ovibjax.views import MODES, modes_for
-
-State = tuple[Params, Any]
-"""Parameters and the optimizer's state."""
-
-Epoch = Callable[[State, jax.Array], tuple[State, dict[str, jax.Array]]]
-"""One epoch of training, see `make_epoch`."""
 
 PAPER_PREFIXES = (4, 8, 16, 32, 64, 96, 128)
 
@@ -52,6 +45,19 @@ class TrainConfig:
     precision: str = "float32"
 
 
+def fixed_rate(static: TrainConfig, latent: int) -> TrainConfig:
+    """The fixed-rate model of the conference version: one code length K, the ARD prior (paper, eq. "ardkl").
+
+    Args:
+        static: the scalable model's choices.
+        latent: latent dimension K, the only prefix.
+
+    Returns:
+        The same choices otherwise.
+    """
+    return replace(static, arch=replace(static.arch, latent=latent), prefixes=(latent,), prior="ard")
+
+
 class TrainData(NamedTuple):
     """What one member learns from.
 
@@ -62,19 +68,6 @@ class TrainData(NamedTuple):
 
     x: jax.Array
     y: jax.Array
-
-
-def make_optimizer(hypers: Hypers, static: TrainConfig, total_steps: int) -> optax.GradientTransformation:
-    """AdamW with linear warm-up and cosine decay; its numbers are leaves, so that they can be swept."""
-    warmup = max(1, min(static.warmup, total_steps // 5))
-
-    def schedule(count: jax.Array) -> jax.Array:
-        step = jnp.asarray(count).astype(jnp.float32)
-        rise = (step + 1.0) / warmup
-        fall = jnp.clip((step - warmup) / max(total_steps - warmup, 1), 0.0, 1.0)
-        return hypers.lr * jnp.minimum(rise, 0.5 * (1.0 + jnp.cos(jnp.pi * fall)))
-
-    return optax.adamw(schedule, weight_decay=hypers.weight_decay)
 
 
 def view_rows(static: TrainConfig, size: int) -> tuple[np.ndarray, tuple[int, ...]]:
@@ -179,7 +172,7 @@ def epochs_of(
     n = data.x.shape[0]
     batch, per_epoch, epochs = schedule_of(static.steps, static.batch, n)
     epochs = -(-epochs // multiple) * multiple
-    optimizer = make_optimizer(hypers, static, epochs * per_epoch)
+    optimizer = make_optimizer(hypers, static.warmup, epochs * per_epoch)
     rows = view_rows(static, batch)[1]
 
     def sample(count: jax.Array, index: jax.Array) -> Batch:
@@ -194,52 +187,3 @@ def epochs_of(
     params = init(key_init, static.arch)
     epoch = make_epoch(key_order, optimizer, sample, loss_of, n, (batch, per_epoch))
     return epoch, (params, optimizer.init(params)), epochs
-
-
-def schedule_of(steps: int, batch: int, n: int) -> tuple[int, int, int]:
-    """Whole epochs: examples per step, steps per epoch, epochs, for n training examples."""
-    size = min(batch, n)
-    return size, n // size, -(-steps // (n // size))
-
-
-def make_epoch(
-    key_order: jax.Array,
-    optimizer: optax.GradientTransformation,
-    sample: Callable[[jax.Array, jax.Array], Any],
-    loss_of: Callable[[Params, Any], tuple[jax.Array, dict[str, jax.Array]]],
-    n: int,
-    shape: tuple[int, int],
-) -> Epoch:
-    """One epoch of minibatches in random order, as a scan over its steps.
-
-    Args:
-        key_order: sets the order of examples.
-        optimizer: gradient transformation.
-        sample: minibatch of a step's number and its [B] rows.
-        loss_of: loss and its terms, of parameters and a minibatch.
-        n: training examples.
-        shape: examples per step, steps per epoch.
-
-    Returns:
-        A function of (parameters, optimizer state) and the epoch's number; returns the new state, and the epoch's
-        mean `loss` and its terms.
-    """
-    batch, per_epoch = shape
-
-    def step(state: State, inputs: Any) -> Any:
-        params, opt_state = state
-        minibatch = sample(*inputs)
-        (loss, terms), grads = jax.value_and_grad(loss_of, has_aux=True)(params, minibatch)
-        # optax's bias correction raises a float to an integer power, which strict promotion (our tests') refuses.
-        with jax.numpy_dtype_promotion("standard"):
-            updates, opt_state = optimizer.update(grads, opt_state, params)
-        return (optax.apply_updates(params, updates), opt_state), {"loss": loss, **terms}
-
-    def epoch(state: State, number: jax.Array) -> tuple[State, dict[str, jax.Array]]:
-        order = jax.random.permutation(jax.random.fold_in(key_order, number), n)
-        index = order[: per_epoch * batch].reshape(per_epoch, batch)
-        count = number * per_epoch + jnp.arange(per_epoch)
-        state, trace = jax.lax.scan(step, state, (count, index))
-        return state, jax.tree.map(jnp.mean, trace)
-
-    return epoch

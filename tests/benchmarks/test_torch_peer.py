@@ -6,9 +6,7 @@ import pytest
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import dense_layers
 from ovibjax.encoder.train import TrainConfig, view_rows
-from tests.encoder.test_loss import TERMS, differentiate, stratified_batch
-from tests.encoder.test_model import UAV, UGV, make_params
-from tests.encoder.test_train import make_data
+from tests.encoder.cases import TERMS, UAV, UGV, differentiate, make_data, make_params, stratified_batch
 
 
 @pytest.fixture(scope="module")

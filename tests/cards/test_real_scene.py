@@ -12,13 +12,13 @@ from ovibjax.cards.loading import load_pair
 from ovibjax.cards.reproduce import reproduce
 from ovibjax.errors import InputError
 from ovibjax.features.feature_files import save
-from tests.edge.test_indoor import some
+from tests.edge.cases import some_frames
 
 
 def write_pair(folder: Path, n_views: int = 4, references: int = 24, queries: int = 8) -> list[Path]:
     paths = [folder / "ref.npz", folder / "query.npz"]
-    save(paths[0], some(references, 1, n_views))
-    save(paths[1], some(queries, 2, n_views))
+    save(paths[0], some_frames(references, 1, n_views))
+    save(paths[1], some_frames(queries, 2, n_views))
     return paths
 
 
@@ -51,9 +51,9 @@ def test_somebodys_references_and_queries(tmp_path, monkeypatch, n_views):
 
 def test_data_that_do_not_fit_are_refused_in_one_line(tmp_path):
     ref, query = write_pair(tmp_path)
-    save(tmp_path / "five.npz", some(9, 2, 5))
-    save(tmp_path / "few.npz", some(19, 2))
-    save(tmp_path / "three.npz", some(3, 2))
+    save(tmp_path / "five.npz", some_frames(9, 2, 5))
+    save(tmp_path / "few.npz", some_frames(19, 2))
+    save(tmp_path / "three.npz", some_frames(3, 2))
     out = tmp_path / "out"
     for data, only, word in (
         ([ref], ["real_scene"], "REF QUERY"),
@@ -75,5 +75,5 @@ def test_data_that_do_not_fit_are_refused_in_one_line(tmp_path):
 def test_a_pair_is_read_as_it_is(tmp_path):
     references, queries = load_pair(write_pair(tmp_path), seed=0)
     assert queries is not None
-    np.testing.assert_array_equal(references.features, some(24, 1).features)
-    np.testing.assert_array_equal(queries.positions_m, some(8, 2).positions_m)
+    np.testing.assert_array_equal(references.features, some_frames(24, 1).features)
+    np.testing.assert_array_equal(queries.positions_m, some_frames(8, 2).positions_m)

@@ -21,8 +21,8 @@ from ovibjax.edge.fusion import (
 from ovibjax.edge.localize import errors
 from ovibjax.edge.retrieval import brute_force
 from ovibjax.views import mode_mask
-from tests.encoder.test_model import QUICK
 from tests.oracles import edge as oracle
+from tests.runtime.cases import QUICK
 
 quick = functools.partial(jax.jit, compiler_options=QUICK)
 calibrate = quick(fusion.calibrate)

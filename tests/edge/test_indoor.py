@@ -13,25 +13,18 @@ from ovibjax.edge.indoor import DIMS, Protocol, scene_data
 from ovibjax.edge.localize import ETAS
 from ovibjax.encoder.model import Architecture, decode, encode, locate
 from ovibjax.encoder.train import TrainConfig
-from ovibjax.features.frames import make_feature_set
 from ovibjax.views import MODES, mode_mask
-from tests.encoder.test_model import QUICK
+from tests.edge.cases import some_frames
+from tests.runtime.cases import QUICK
 
 quick = functools.partial(jax.jit, compiler_options=QUICK)
 ARCH = Architecture(n_views=4, view_dim=6, latent=8, hidden=16, last_hidden=12, head=8)
 PROTOCOL = Protocol(TrainConfig(ARCH, prefixes=(2, 8), steps=24, warmup=4), prefixes=(2, 8), checkpoints=3, lr=1e-2)
 
 
-def some(n, seed, n_views=4):
-    world, rng = np.random.default_rng(0), np.random.default_rng(seed)
-    position = np.column_stack([rng.uniform(-2, 2, (n, 2)), np.full(n, 0.3)])
-    features = np.sin(np.einsum("nk,kmd->nmd", position, world.normal(size=(3, n_views, 10))))
-    return make_feature_set(features + 0.05 * rng.normal(size=features.shape), position)
-
-
 @functools.cache
 def scene():
-    return scene_data(some(31, 1), some(12, 2), rank=6)
+    return scene_data(some_frames(31, 1), some_frames(12, 2), rank=6)
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +43,9 @@ def test_the_references_are_split_by_place_and_the_basis_sees_training_rows_only
     x = np.asarray(references.x)[references.train]
     np.testing.assert_allclose(x.mean(axis=0), 0, atol=1e-5)
     assert references.x.shape[1:] == queries.x.shape[1:] == (4, 6)
-    wide = scene_data(some(31, 1), some(12, 2), rank=64)[0]
+    wide = scene_data(some_frames(31, 1), some_frames(12, 2), rank=64)[0]
     assert wide.x.shape[2] == 10  # never more than there are; half the training frames otherwise
-    assert scene_data(some(20, 1), some(12, 2), rank=64)[0].x.shape[2] == 8
+    assert scene_data(some_frames(20, 1), some_frames(12, 2), rank=64)[0].x.shape[2] == 8
 
 
 def estimates(learned, x, rows, mode, k):
@@ -111,7 +104,7 @@ def test_raw_retrieval_uses_the_calibrated_weights_of_the_kept_views(outcome):
 
 def test_queries_change_nothing_that_is_learnt():
     """By their types `learn` cannot see them; here through the whole function, on shuffled and shifted queries."""
-    references, queries = some(31, 1), some(12, 2)
+    references, queries = some_frames(31, 1), some_frames(12, 2)
     strange = queries._replace(features=queries.features[::-1, ::-1], positions_m=queries.positions_m + 50)
     whole = quick(lambda key, pair: PROTOCOL(key, {}, pair))
     one, other = (whole(jax.random.key(3), scene_data(references, asked, 6)) for asked in (queries, strange))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ovibjax.edge.judging import judge, judge_prefixes, judge_raw, one_standard_error_choice
+from ovibjax.edge.judging import Trained, judge, judge_prefixes, judge_raw, one_standard_error_choice
 from ovibjax.edge.localize import ETAS
 from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture, decode, encode, init, locate
@@ -64,8 +64,8 @@ def test_prefixes_match_the_protocol(params, member, mode, linear) -> None:
     ks = [2, 5, 8]
     # A re-coded database is tried with the linear code: an untrained network maps all references to one direction,
     # where rounding decides which of them is nearest.
-    pca = fit_pca(member.train.x.reshape(len(member.train.x), -1), 8) if linear else None
-    judged = judge_prefixes(params, member, ARCH, mask, jnp.array(ks), pca=pca, recode=linear)
+    pca = fit_pca(member.train.x, 8) if linear else None
+    judged = judge_prefixes(Trained(member, params), ARCH, mask, jnp.array(ks), pca=pca, recode=linear)
     for i, k in enumerate(ks):
         keep = jnp.asarray((np.arange(8) < k).astype(np.float32))
 
@@ -85,7 +85,7 @@ def test_prefixes_match_the_protocol(params, member, mode, linear) -> None:
 
 def test_raw_retrieval_of_a_reference_is_exact(params, member) -> None:
     known = member._replace(val_x=member.train.x[:20], val_m=member.train_m[:20])
-    judged = judge_raw(params, known, ARCH, mode_mask("H4", 4))
+    judged = judge_raw(Trained(known, params), ARCH, mode_mask("H4", 4))
     assert float(judged.eta) == 0.0
     np.testing.assert_allclose(judged.val_error_m, 0.0, atol=1e-5)
 
@@ -93,7 +93,7 @@ def test_raw_retrieval_of_a_reference_is_exact(params, member) -> None:
 def test_test_frames_do_not_choose_the_mixing_weight(params, member) -> None:
     shuffled = member._replace(test_m=member.test_m[::-1] + 50.0)
     mask = mode_mask("H4", 4)
-    one, other = (judge(params, m, ARCH, mask, lambda x: x) for m in (member, shuffled))
+    one, other = (judge(Trained(m, params), ARCH, mask, lambda x: x) for m in (member, shuffled))
     assert float(one.eta) == float(other.eta)
     np.testing.assert_array_equal(one.val_error_m, other.val_error_m)
 

@@ -7,8 +7,8 @@ import pytest
 
 from ovibjax import sweep
 from ovibjax.cards.ablation_study import GAMMA, ablate, named, table_rows
-from ovibjax.edge.judging import judge_prefixes
-from ovibjax.edge.member import DIMS, ORDERINGS, FuseAndLocate, JudgeOrdering, TrainAndJudge, Trained
+from ovibjax.edge.judging import Trained, judge_prefixes
+from ovibjax.edge.member import DIMS, ORDERINGS, FuseAndLocate, JudgeOrdering, TrainAndJudge
 from ovibjax.encoder.attention import AttentionConfig
 from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.loss import make_hypers
@@ -41,7 +41,7 @@ def test_train_and_judge_is_fit_then_judge(members):
         np.testing.assert_allclose(found[name], values[-1], rtol=1e-4)
     judge = jax.jit(judge_prefixes, static_argnames="arch")
     for i, mode in enumerate(("F",)):
-        judged = judge(params, members[0], arch=ARCH, view_mask=mode_mask(mode), prefixes=jnp.array(KS))
+        judged = judge(Trained(members[0], params), arch=ARCH, view_mask=mode_mask(mode), prefixes=jnp.array(KS))
         np.testing.assert_allclose(found["test_mean_m"][i], judged.test_error_m.mean(1), rtol=1e-3)
         np.testing.assert_allclose(found["val_mean_m"][i], judged.val_error_m.mean(1), rtol=1e-3)
         p90 = np.percentile(judged.test_error_m, 90, axis=1)
@@ -60,14 +60,14 @@ def test_orderings_keep_the_coordinates_they_say(members):
         for i, name in enumerate(ORDERINGS)
     }
     plain = jax.jit(judge_prefixes, static_argnames="arch")
-    common = {"params": params, "member": members[0], "arch": ARCH, "view_mask": mode_mask("A5")}
-    learned = plain(**common, prefixes=jnp.array(KS)).test_error_m.mean(1)
+    common = {"arch": ARCH, "view_mask": mode_mask("A5")}
+    learned = plain(trained, **common, prefixes=jnp.array(KS)).test_error_m.mean(1)
     np.testing.assert_allclose(errors["learned"], learned, rtol=1e-4)
     # Tail first: with k = 5 of 8 the first three coordinates are dropped, i.e. multiplied by zero in the decoder.
     kernel = params["params"]["decoder_1"]["kernel"].at[:3].set(0.0)
     layer = {**params["params"]["decoder_1"], "kernel": kernel}
     without = {"params": {**params["params"], "decoder_1": layer}}
-    dropped = plain(**{**common, "params": without}, prefixes=jnp.array([8])).test_error_m.mean(1)
+    dropped = plain(Trained(members[0], without), **common, prefixes=jnp.array([8])).test_error_m.mean(1)
     np.testing.assert_allclose(errors["tail_first"][1], dropped[0], rtol=1e-4)
     # All coordinates are the same in any order; the permutations differ from each other before.
     for name in ORDERINGS:

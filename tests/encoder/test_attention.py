@@ -15,7 +15,7 @@ from ovibjax.encoder.data_split import Standardizer
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.train import TrainData
 from ovibjax.views import mask_table
-from tests.encoder.test_train import QUICK, lane, quick_jit, stack
+from tests.encoder.cases import QUICK, member_of, quick_jit, stack
 from tests.oracles import attention as oracle
 
 # One step an epoch: the metrics show every step.
@@ -189,7 +189,7 @@ def test_a_vmap_over_hyperparameters_equals_a_loop():
     many = quick_jit(jax.vmap(fit_attention, in_axes=(None, 0, None, None)))(key, stack(*grid), data, SAMPLED)
     for i, hypers in enumerate(grid):
         alone = train(key, hypers, data, SAMPLED)
-        chex.assert_trees_all_close(lane(many, i), alone, rtol=1e-4, atol=1e-5)
+        chex.assert_trees_all_close(member_of(many, i), alone, rtol=1e-4, atol=1e-5)
     # Two steps an epoch; rate and weight decay act.
     assert many[1]["loss"].shape == (3, 3) and len(set(np.asarray(many[1]["loss"])[:, -1].tolist())) == 3
 

@@ -10,8 +10,7 @@ from ovibjax.encoder.early_stopping import fit_early
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import init
 from ovibjax.encoder.train import TrainConfig, epochs_of, fit
-from tests.encoder.test_model import UAV
-from tests.encoder.test_train import assert_trees_close, lane, make_data, quick_jit
+from tests.encoder.cases import UAV, assert_trees_close, make_data, member_of, quick_jit
 
 RUN = TrainConfig(arch=UAV, prefixes=(2, 5, 8), steps=24, batch=32, warmup=5)  # 12 epochs of two steps
 CHECKPOINTS = 4
@@ -53,7 +52,7 @@ def test_the_kept_parameters_are_those_of_training_cut_at_the_best_checkpoint():
         np.testing.assert_allclose(metrics["score"][i], scores, rtol=1e-3, atol=1e-5)
         best = int(metrics["best"][i])
         assert best == int(np.argmin(metrics["score"][i]))
-        assert_trees_close(lane(kept, i), at_checkpoint[best], rtol=1e-3, atol=1e-5)
+        assert_trees_close(member_of(kept, i), at_checkpoint[best], rtol=1e-3, atol=1e-5)
     # The targets are such that not every member stops at the same checkpoint.
     assert len(set(metrics["best"].tolist())) > 2
 
@@ -69,4 +68,4 @@ def test_a_score_that_is_not_a_number_never_wins():
     kept, metrics = outcome()
     assert np.isnan(metrics["score"][3]).all() and metrics["best"][3] == -1
     start = init(jax.random.split(jax.random.key(1), 3)[0], UAV)
-    assert_trees_close(lane(kept, 3), start, rtol=1e-6, atol=1e-6)
+    assert_trees_close(member_of(kept, 3), start, rtol=1e-6, atol=1e-6)

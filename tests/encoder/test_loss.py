@@ -4,29 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from ovibjax.encoder.loss import Batch, composite_loss, make_hypers, orthogonality_penalty, prefix_mask
+from ovibjax.encoder.loss import Batch, composite_loss, make_hypers, prefix_mask
 from ovibjax.encoder.model import decode, encode, locate
 from ovibjax.encoder.train import TrainConfig, view_rows
-from tests.encoder.test_model import QUICK, UAV, UGV, make_params
+from tests.encoder.cases import QUICK, TERMS, UAV, UGV, differentiate, make_params, random_batch, stratified_batch
 from tests.oracles import encoder as oracle
 
-TERMS = ["reconstruction", "localization", "rate", "orthogonality"]
 loss_of = jax.jit(composite_loss, static_argnums=(3, 4, 5), compiler_options=QUICK)
-penalty = jax.jit(orthogonality_penalty)
-penalty_grad = jax.jit(jax.grad(orthogonality_penalty))
-
-
-def value_and_grad(params, batch, hypers, arch, prior, rows=None, precision="float32"):
-    return jax.value_and_grad(composite_loss, has_aux=True)(params, batch, hypers, arch, prior, rows, precision)
-
-
-differentiate = jax.jit(value_and_grad, static_argnums=(3, 4, 5, 6), compiler_options=QUICK)
-
-
-# ---- prefix mask ----
 
 
 @pytest.mark.parametrize("size", [1, 8, 35, 128])
@@ -50,124 +35,6 @@ def test_one_program_serves_all_prefix_lengths():
     for k in range(17):
         assert float(masked(jnp.int32(k)).sum()) == k
     assert len(traces) == 1
-
-
-# ---- orthogonality ----
-
-
-def orthonormal_rows(size, width, seed=0):
-    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(width, size)))
-    return q.T
-
-
-@pytest.mark.parametrize(("size", "width"), [(1, 1), (3, 3), (8, 12), (64, 256)])
-def test_the_penalty_is_zero_for_orthonormal_rows(size, width):
-    w = jnp.array(orthonormal_rows(size, width), jnp.float32)
-    assert abs(float(penalty(w))) < 1e-12 * width
-    # For rows of length c it is (c^2 - 1)^2 / K.
-    np.testing.assert_allclose(penalty(1.5 * w), 1.25**2 / size, rtol=1e-5)
-
-
-@pytest.mark.parametrize(("size", "width"), [(1, 5), (6, 4), (8, 12), (40, 64)])
-@pytest.mark.parametrize("scale", [1e-2, 1.0, 30.0])
-def test_the_penalty_equals_the_oracle(size, width, scale):
-    w = (np.random.default_rng(size).normal(size=(size, width)) * scale).astype(np.float32)
-    value = penalty(jnp.array(w))
-    assert value.shape == () and value.dtype == jnp.float32
-    np.testing.assert_allclose(value, oracle.orthogonality(w), rtol=2e-5)
-
-
-def test_the_penalty_is_normalised_by_the_square_of_k():
-    for size in (2, 8):
-        # ||0 - I||_F^2 = K; all rows equal and of unit length: ||1 1^T - I||_F^2 = K^2 - K.
-        np.testing.assert_allclose(penalty(np.zeros((size, 12), np.float32)), 1 / size, rtol=1e-6)
-        row = np.eye(12, dtype=np.float32)[[5] * size]
-        np.testing.assert_allclose(penalty(row), (size**2 - size) / size**2, rtol=1e-6)
-
-
-def test_the_gradient_of_the_penalty_is_its_closed_form():
-    w = np.random.default_rng(1).normal(size=(6, 9)).astype(np.float32)
-    exact = w.astype(np.float64)
-    expected = 4 * (exact @ exact.T - np.eye(6)) @ exact / 36
-    np.testing.assert_allclose(penalty_grad(jnp.array(w)), expected, rtol=1e-4, atol=1e-5)
-    for w in (np.zeros((6, 9)), orthonormal_rows(6, 9)):
-        grad = penalty_grad(jnp.array(w, jnp.float32))
-        np.testing.assert_allclose(grad, 0.0, atol=1e-6)
-
-
-def plain_penalty(w):
-    """The formula, for automatic differentiation."""
-    return jnp.sum((w @ w.T - jnp.eye(w.shape[0], dtype=w.dtype)) ** 2) / w.shape[0] ** 2
-
-
-@pytest.mark.parametrize(("size", "width"), [(1, 5), (6, 4), (8, 12), (40, 64)])
-@pytest.mark.parametrize("scale", [1e-2, 1.0, 30.0])
-def test_the_gradient_of_the_penalty_equals_automatic_and_numerical_differentiation(size, width, scale):
-    rng = np.random.default_rng(size)
-    w = (rng.normal(size=(size, width)) * scale).astype(np.float32)
-    grad = np.asarray(penalty_grad(jnp.array(w)), np.float64)
-    automatic = jax.jit(jax.grad(plain_penalty))(jnp.array(w))
-    np.testing.assert_allclose(grad, automatic, rtol=1e-4, atol=1e-5 * np.abs(grad).max())
-    for _ in range(5):
-        direction = rng.normal(size=w.shape)
-        direction *= 1e-5 * scale / np.linalg.norm(direction)
-        rise = oracle.orthogonality(w + direction) - oracle.orthogonality(w - direction)
-        np.testing.assert_allclose((grad * 2 * direction).sum(), rise, rtol=1e-3, atol=1e-5 * abs(grad).max() * scale)
-
-
-def test_the_gradient_of_the_penalty_follows_vmap_transposes_and_scale():
-    kernels = jnp.array(np.random.default_rng(2).normal(size=(3, 12, 8)), jnp.float32)
-    weights = jnp.array([2.0, -0.5, 0.0])
-
-    def total(penalty):
-        # As in training: the matrix is a transposed kernel, the penalty has a weight, members are mapped.
-        members = jax.vmap(jax.value_and_grad(lambda kernel, weight: weight * penalty(kernel.T)))
-        return jax.jit(members)(kernels, weights)
-
-    ours, theirs = total(orthogonality_penalty), total(plain_penalty)
-    for a, b in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
-    assert ours[1].shape == (3, 12, 8) and np.abs(ours[1][:2]).max() > 0.1 and np.all(ours[1][2] == 0.0)
-    for kernel, weight, grad in zip(kernels, weights, ours[1], strict=True):
-        np.testing.assert_allclose(grad, weight * penalty_grad(kernel.T).T, rtol=1e-4, atol=1e-5)
-
-
-@settings(deadline=None, max_examples=60)
-@given(st.integers(0, 10_000), st.floats(1e-4, 0.05))
-def test_proposition_1_bounds_the_singular_values(seed, spread):
-    rng = np.random.default_rng(seed)
-    w = (orthonormal_rows(12, 20, seed) + spread * rng.normal(size=(12, 20))).astype(np.float32)
-    singular = np.linalg.svd(w.astype(np.float64), compute_uv=False)
-    # ||Delta||_2 <= ||Delta||_F = K sqrt(penalty).
-    spectral = np.linalg.norm(w.astype(np.float64) @ w.T - np.eye(12), 2)
-    epsilon = 12 * float(penalty(jnp.array(w))) ** 0.5 * (1 + 1e-4) + 1e-6
-    assert spectral <= epsilon
-    for bound in [b for b in (spectral + 1e-9, epsilon) if b < 1]:
-        assert np.all(singular >= np.sqrt(1 - bound)) and np.all(singular <= np.sqrt(1 + bound))
-
-
-def test_a_penalty_below_k_to_the_minus_two_excludes_rank_collapse():
-    rng = np.random.default_rng(5)
-    for _ in range(20):
-        w = orthonormal_rows(5, 9, int(rng.integers(1000)))
-        w[4] = rng.normal(size=4) @ w[:4]
-        assert float(penalty(jnp.array(w, jnp.float32))) >= (1 - 1e-5) / 25
-
-
-# ---- the whole objective ----
-
-
-def random_batch(arch, size=7, seed=0):
-    """Every mode and every prefix length of the platform side by side."""
-    rng = np.random.default_rng(seed)
-    modes = ["A5", "F", "H4", "FS"] if arch.n_views == 5 else ["H4", "F", "FS"]
-    return Batch(
-        x=rng.normal(size=(size, arch.n_views, arch.view_dim)).astype(np.float32),
-        y=rng.normal(size=(size, 3)).astype(np.float32),
-        view_mask=np.float32([oracle.view_mask(modes[n % len(modes)], arch.n_views) for n in range(size)]),
-        prefix_mask=np.float32([oracle.prefix_mask(1 + (3 * n) % arch.latent, arch.latent) for n in range(size)]),
-        noise=rng.normal(size=(size, arch.latent)).astype(np.float32),
-    )
 
 
 def network_parts(arch, params):
@@ -332,15 +199,6 @@ def test_gradients_are_finite_where_a_mean_is_exactly_zero(prior):
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(grads))
 
 
-# ---- rows ----
-
-
-def stratified_batch(static, size, seed=0):
-    """A batch whose view masks are those of training, with every prefix length."""
-    batch = random_batch(static.arch, size, seed)
-    return batch._replace(view_mask=view_rows(static, size)[0])
-
-
 def assert_same_loss_and_gradients(ours, theirs, rtol):
     for a, b in zip(jax.tree.leaves(ours[0]), jax.tree.leaves(theirs[0]), strict=True):
         np.testing.assert_allclose(a, b, rtol=rtol)
@@ -389,9 +247,6 @@ def test_fewer_rows_than_needed_would_be_noticed():
         fewer = tuple(count - (i == view) for i, count in enumerate(rows))
         loss, _ = loss_of(params, batch, make_hypers(), UAV, "gaussian", fewer)
         assert abs(float(loss) / float(whole[0][0]) - 1) > 1e-4, view
-
-
-# ---- precision ----
 
 
 @pytest.mark.parametrize("prior", ["gaussian", "ard"])

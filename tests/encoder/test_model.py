@@ -19,49 +19,10 @@ from ovibjax.encoder.model import (
     parameter_bytes,
     split_views,
 )
+from tests.encoder.cases import QUICK, UAV, UGV, make_params, shapes_of
 from tests.oracles import encoder as oracle
 
-UAV = Architecture(n_views=5, view_dim=6, latent=8, hidden=16, last_hidden=12, head=10)
-UGV = dataclasses.replace(UAV, n_views=4)
-
-
-def known_options(options):
-    """Those compiler options that this jax knows."""
-    known = {}
-    for name, value in options.items():
-        try:
-            jax.jit(lambda: 0, compiler_options={name: value})()
-        except jax.errors.JaxRuntimeError:
-            continue
-        known[name] = value
-    return known
-
-
-# The networks are tiny and the programs are not: most of the time would go to optimising machine code.
-QUICK = known_options(
-    {
-        "xla_backend_optimization_level": 0,
-        "xla_llvm_disable_expensive_passes": True,
-        "xla_cpu_use_fusion_emitters": False,
-        "xla_cpu_parallel_codegen_split_count": 1,
-    }
-)
 encode, decode, locate = (jax.jit(f, static_argnums=2) for f in (model.encode, model.decode, model.locate))
-
-
-def shapes_of(arch):
-    return jax.eval_shape(functools.partial(init, arch=arch), jax.random.key(0))
-
-
-def make_params(arch, seed=0):
-    """Parameters with the model's shapes and no structure: no bias is zero."""
-    rng = np.random.default_rng(seed)
-
-    def draw(leaf):
-        scale = leaf.shape[0] ** -0.5 if len(leaf.shape) == 2 else 0.3
-        return jnp.array(1.5 * scale * rng.normal(size=leaf.shape), jnp.float32)
-
-    return jax.tree.map(draw, shapes_of(arch))
 
 
 def rows(n, width, seed=1):

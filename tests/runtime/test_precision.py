@@ -14,7 +14,7 @@ from ovibjax.encoder.loss import Batch, composite_loss, make_hypers
 from ovibjax.encoder.model import Architecture, init
 from ovibjax.encoder.train import TrainConfig, view_rows
 from ovibjax.runtime.precision import PRECISIONS, dot_general
-from tests.encoder.test_model import QUICK
+from tests.runtime.cases import QUICK
 
 DIMENSIONS = (((1,), (0,)), ((), ()))
 # Where a processor multiplies in float32, XLA may leave out the rounding of an operand: "excess precision".
