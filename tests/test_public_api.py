@@ -23,13 +23,20 @@ PUBLIC = {
         report reproduce room_features runtime scheduling sweep system town_features views world""",
     "ovibjax.cards": "CardInterrupted Job PRESETS card_names card_paths load_card load_features load_pair",
     "ovibjax.cli": "Best Features Replay Reproduce Show SweepSystem SweepTrain Town check_options",
+    "ovibjax.edge": """Index TrainAndJudge Trained brute_force build_index calibrate coarse_to_fine errors judge
+        judge_prefixes leave_one_out mix retrieve select_eta spatial_folds summarize""",
+    "ovibjax.encoder": """Architecture Hypers MemberData TrainConfig TrainData active_dims ard_kl decode encode fit
+        fixed_rate gaussian_kl init locate make_hypers member_data orthogonality_penalty prefix_mask""",
     "ovibjax.features": """CONTEXTS FeatureSet Split backbones describe extract fit_basis images load make_feature_set
         open_backbone open_source project save split_indices""",
     "ovibjax.features.backbones": "Backbone BackboneOptions fingerprint normalise open_backbone resize_and_crop",
     "ovibjax.features.images": """CODECS Extraction Frame LADDERS Skipped Source decode decode_image encode extract
         open_source""",
+    "ovibjax.link": """JETSON PayloadError Request Trace draw_gain fading_power kbytes_per_s make_channel_params pack
+        profile_rate_bps rate_bps read_trace request_bytes resample semantic_latency_ms transmit_s unpack""",
     "ovibjax.report": """Claim Interval band bars choose interval plot select sheet table variance_shares write_claims
         write_csv write_page""",
+    "ovibjax.runtime": "PRECISIONS cache_folder in_order in_threads keep_compiled_programs progress_bar workers",
     "ovibjax.sweep": "Along Axis Interrupted best config_of on_ray open_dataset run take tree_of",
     "ovibjax.world": """Camera RoomConfig TownConfig contact_sheet context_labels make_room make_route make_town
         platform_room render render_interior room_features rooms town town_features write_frames""",

@@ -9,7 +9,8 @@ import xarray
 
 from ovibjax.cards.indoor_paper import PAPER
 from ovibjax.cards.job import Sweep
-from ovibjax.edge.indoor import DIMS, Protocol, scene_data
+from ovibjax.edge.indoor import DIMS, Protocol
+from ovibjax.edge.indoor_data import scene_data
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
 from ovibjax.features.frames import FeatureSet

@@ -1,4 +1,5 @@
-"""View-fusion weights of uncompressed retrieval, calibrated on spatial folds of the references (paper, "Real-Scene").
+"""How much each view counts in uncompressed retrieval: weights calibrated on spatial folds of the references (paper,
+"Real-Scene Multi-Platform Evaluation").
 
 A query is compared with a reference by s = sum_m w_m <q_m, r_m> over its views m, with weights on the simplex. They
 minimise a smooth stand-in for the retrieval error of each fold against the other folds: the position error averaged
@@ -69,7 +70,7 @@ def spatial_folds(positions: np.ndarray, n: int = FOLDS) -> np.ndarray:
 
 
 def kept_weights(weights: jax.Array, view_mask: jax.Array) -> jax.Array:
-    """Weights of a view mode: those of the kept views, scaled to sum to one (paper, "Real-Scene").
+    """Weights of a view mode: those of the kept views, scaled to sum to one.
 
     Args:
         weights: [M] on the simplex.

@@ -1,4 +1,4 @@
-"""The geo-tagged database as an index of scenes and tiles (paper, Section "System Architecture").
+"""The geo-tagged database, sorted into scenes and tiles for a fast search (paper, Section "System Architecture").
 
 Descriptors are sorted by scene and tile, so that a search reads contiguous pieces of a fixed number of rows whatever
 the sizes of scenes and tiles, and every array has a shape that depends on little more than the database's size.

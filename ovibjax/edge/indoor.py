@@ -1,7 +1,8 @@
-"""The motion-capture protocol: few references, a separate set of queries (paper, "Real-Scene Multi-Platform ...").
+"""Localizing in a room from a few dozen references: the motion-capture protocol (paper, "Real-Scene Multi-Platform
+Evaluation").
 
-The references are the database. One spatial fold of them is held out to stop training early and to choose the mixing
-weight of each prefix; the rest trains the encoder. `learn` sees references only, `answer` uses the queries once.
+`learn` sees the references only: it trains the encoder with early stopping, chooses a mixing weight per prefix and
+calibrates the view fusion. `answer` uses the queries, once.
 """
 
 from dataclasses import dataclass
@@ -9,55 +10,16 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ovibjax.edge.fusion import calibrate, fold_error_m, fold_similarity, fused_descriptor, kept_weights, spatial_folds
+from ovibjax.edge.fusion import calibrate, fold_error_m, fold_similarity, fused_descriptor, kept_weights
+from ovibjax.edge.indoor_data import Queries, References
 from ovibjax.edge.localize import errors, mix, select_eta
 from ovibjax.edge.retrieval import brute_force
-from ovibjax.encoder.data_split import Standardizer
 from ovibjax.encoder.early_stopping import fit_early
-from ovibjax.encoder.loss import make_hypers
+from ovibjax.encoder.loss import make_hypers, prefix_mask
 from ovibjax.encoder.model import Params, decode, encode, locate
 from ovibjax.encoder.train import TrainConfig, TrainData
-from ovibjax.features.basis import fit_basis, project
-from ovibjax.features.frames import FeatureSet
 from ovibjax.views import full_mode, mode_mask, modes_for
-
-
-class References(NamedTuple):
-    """The database and all that is learnt from.
-
-    Attributes:
-        features: [R, M, d] unit-norm features.
-        x: [R, M, r] the same in the per-view basis of the training rows, unit variance overall.
-        positions_m: [R, 3].
-        folds: [R] int32 spatial fold.
-        train: [T] int32 rows that train the encoder.
-        val: [V] int32 rows of the first fold.
-        standardizer: between standardised and metric positions.
-    """
-
-    features: jax.Array
-    x: jax.Array
-    positions_m: jax.Array
-    folds: jax.Array
-    train: jax.Array
-    val: jax.Array
-    standardizer: Standardizer
-
-
-class Queries(NamedTuple):
-    """What is localized.
-
-    Attributes:
-        features: [Q, M, d] unit-norm features.
-        x: [Q, M, r] the same in the references' basis.
-        positions_m: [Q, 3].
-    """
-
-    features: jax.Array
-    x: jax.Array
-    positions_m: jax.Array
 
 
 class Learned(NamedTuple):
@@ -145,37 +107,6 @@ DIMS: dict[str, tuple[str, ...]] = {
     "score": ("checkpoint",),
 }
 """Trailing dimensions of the protocol's outputs."""
-
-
-def scene_data(references: FeatureSet, queries: FeatureSet, rank: int | None) -> tuple[References, Queries]:
-    """Split the references, fit the per-view basis on their training part, and project everything.
-
-    Args:
-        references: at least `splits.MIN_REFERENCES` frames.
-        queries: frames of the same platform and backbone.
-        rank: coordinates kept per view, at most half the training frames; None keeps all d.
-
-    Returns:
-        References and queries; nothing in the former depends on the latter.
-    """
-    folds = spatial_folds(references.positions_m)
-    train, val = np.flatnonzero(folds != 0), np.flatnonzero(folds == 0)
-    kept = None if rank is None else max(2, min(rank, len(train) // 2))
-    basis = fit_basis(references.features[train], kept)
-    train_m = references.positions_m[train]
-    mean_m = train_m.mean(axis=0)
-    scale_m = np.float32(max(float(np.sqrt(np.mean((train_m - mean_m)[:, :2] ** 2))), 1e-6))
-    made = References(
-        features=jnp.asarray(references.features),
-        x=jnp.asarray(project(basis, references.features)),
-        positions_m=jnp.asarray(references.positions_m),
-        folds=jnp.asarray(folds),
-        train=jnp.asarray(train, jnp.int32),
-        val=jnp.asarray(val, jnp.int32),
-        standardizer=Standardizer(jnp.asarray(mean_m), jnp.asarray(scale_m)),
-    )
-    asked = (queries.features, project(basis, queries.features), queries.positions_m)
-    return made, Queries(*map(jnp.asarray, asked))
 
 
 def learn(key: jax.Array, references: References, protocol: Protocol) -> Learned:
@@ -269,8 +200,7 @@ def _estimates(
     centre, scale = references.standardizer
 
     def one(k: jax.Array) -> tuple[jax.Array, jax.Array]:
-        prefix = (jnp.arange(arch.latent) < k).astype(jnp.float32)
-        descriptor = decode(params, mu * prefix[None], arch) * wide
+        descriptor = decode(params, mu * prefix_mask(k, arch.latent)[None], arch) * wide
         reg = centre[None] + scale * locate(params, descriptor, arch)
         return reg, references.positions_m[rows][brute_force(descriptor, database)]
 

@@ -1,7 +1,8 @@
-"""The frozen-localizer protocol: judge any code of a frame by what one fixed edge localizer makes of it.
+"""How good a compressed frame is: the position error when one fixed edge localizer works on what was decoded.
 
-The localizer (regression head and database of uncompressed reference descriptors) is fixed after training; a codec
-only changes the descriptor that reaches it. The mixing weight is chosen on validation frames per prefix.
+This is the paper's frozen-localizer protocol (Section "Experimental Setup"). The localizer (regression head and
+database of uncompressed reference descriptors) is fixed after training; a codec only changes the descriptor that
+reaches it. The mixing weight is chosen on validation frames per prefix.
 """
 
 from collections.abc import Callable
@@ -48,6 +49,7 @@ class Judged(NamedTuple):
 
 
 Codec = Callable[[jax.Array], jax.Array]
+"""From masked features [B, M r] to the descriptors [B, M r] that reach the localizer."""
 
 
 def judge(trained: Trained, arch: Architecture, view_mask: jax.Array, codec: Codec, recode: bool = False) -> Judged:

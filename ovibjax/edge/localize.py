@@ -1,4 +1,6 @@
-"""Position estimate at the edge and its error (paper, "System Architecture" and "Experimental Setup")."""
+"""From a regressed and a retrieved position to one estimate, and its error in metres (paper, "System Architecture" and
+"Experimental Setup").
+"""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What pruning costs: a grid of scenes and tiles kept, in one program (paper, Section "Coarse-to-Fine Retrieval").
+"""What pruning a search costs, over scenes and tiles kept (paper, Section "Coarse-to-Fine Retrieval").
 
 The search of `edge.retrieval` is built for speed, with static numbers of scenes and tiles. A study wants every
 combination of them, on databases small enough to compare each query with every row once: a grid point is then a mask.

@@ -1,4 +1,4 @@
-"""Service time of one request at the edge server (paper, Section "VOI-Weighted Edge Scheduling").
+"""How long the edge server works on one request (paper, Section "VOI-Weighted Edge Scheduling").
 
 Compute latency that depends on the view mode, fixed times of decoding, retrieval and runtime, and lognormal jitter.
 """

@@ -1,5 +1,5 @@
 """Multi-view fusion by self-attention: the earlier conference version that the paper compares with (figure
-"conference-version").
+"single_scene_ib_ablation").
 
 Views are tokens and the position is regressed from their mean: no bottleneck, no retrieval. It shares data, batch
 order, optimizer and schedule with O-VIB, so that the comparison is one of models.
@@ -97,7 +97,7 @@ def predict(params: Params, x: jax.Array, view_mask: jax.Array, static: Attentio
         static: widths of the network (static).
 
     Returns:
-        [B, 3] standardised positions (paper, figure "conference-version").
+        [B, 3] standardised positions.
     """
     present = jnp.broadcast_to(view_mask != 0, x.shape[:2])
     return cast(jax.Array, ViewFusion(static).apply(params, x, present))

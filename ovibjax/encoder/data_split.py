@@ -24,8 +24,21 @@ class Standardizer(NamedTuple):
     scale_m: jax.Array
 
 
+def mean_and_scale(positions_m: np.ndarray) -> tuple[np.ndarray, np.float32]:
+    """Fields of the `Standardizer` of training positions.
+
+    Args:
+        positions_m: [N, 3] metres.
+
+    Returns:
+        [3] mean, and the standard deviation of a horizontal coordinate, not zero.
+    """
+    mean_m = positions_m.mean(axis=0)
+    return mean_m, np.float32(max(float(np.sqrt(np.mean((positions_m - mean_m)[:, :2] ** 2))), 1e-6))
+
+
 class MemberData(NamedTuple):
-    """Everything a member sees, split by seed.
+    """Everything that training and judging one member sees, split by seed.
 
     Attributes:
         train: training data; its features are also the reference database of retrieval.
@@ -47,25 +60,24 @@ class MemberData(NamedTuple):
 
 
 def member_data(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tuple[MemberData, ViewBasis]:
-    """Split 70/15/15 by seed, fit the per-view basis on the training part, and project everything.
+    """Training, validation and test data of one seed: a 70/15/15 split, in the basis of its training part.
 
     Args:
-        feature_set: unit-norm features with positions.
+        feature_set: unit-norm features [N, M, d] with positions.
         seed: the split.
-        rank: coordinates kept per view; None keeps all d.
+        rank: coordinates r kept per view; None keeps all d.
 
     Returns:
-        The member's arrays and its basis.
+        The member's arrays and its per-view basis.
     """
     split = split_indices(len(feature_set.features), seed)
     basis = fit_basis(feature_set.features[split.train], rank)
     train_m = feature_set.positions_m[split.train]
-    mean = train_m.mean(axis=0)
-    scale = np.float32(max(float(np.sqrt(np.mean((train_m - mean)[:, :2] ** 2))), 1e-6))
+    mean_m, scale_m = mean_and_scale(train_m)
     coordinates = {name: project(basis, feature_set.features[rows]) for name, rows in split._asdict().items()}
     train = TrainData(
         x=jnp.asarray(coordinates["train"]),
-        y=jnp.asarray((train_m - mean) / scale),
+        y=jnp.asarray((train_m - mean_m) / scale_m),
     )
     member = MemberData(
         train=train,
@@ -74,6 +86,6 @@ def member_data(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tu
         val_m=jnp.asarray(feature_set.positions_m[split.val]),
         test_x=jnp.asarray(coordinates["test"]),
         test_m=jnp.asarray(feature_set.positions_m[split.test]),
-        standardizer=Standardizer(jnp.asarray(mean), jnp.asarray(scale)),
+        standardizer=Standardizer(jnp.asarray(mean_m), jnp.asarray(scale_m)),
     )
     return member, basis

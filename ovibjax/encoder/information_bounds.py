@@ -54,9 +54,10 @@ class Decoder(NamedTuple):
 class Bounds(NamedTuple):
     """Both sides of the two lemmas and of the theorem, scalars in nats.
 
-    Lemma 1: `information_xz` = `rate` - `marginal_kl` <= `rate`.
-    Lemma 2: `information_zy` = `log_likelihood` + `entropy_y` + `decoder_kl` >= `log_likelihood` + `entropy_y`.
-    Theorem 1: `objective` = `bound` - `gap` <= `bound`, for beta >= 0.
+    Lemma 1: `information_xz` = `rate` - `marginal_kl` <= `rate` (paper, eqs. "chain_rule_exact" and "rate_upper").
+    Lemma 2: `information_zy` = `log_likelihood` + `entropy_y` + `decoder_kl` >= `log_likelihood` + `entropy_y`
+    (paper, eq. "izy_bound").
+    Theorem 1: `objective` = `bound` - `gap` <= `bound`, for beta >= 0 (paper, eq. "vib_upper").
 
     Attributes:
         information_xz: I(x; z).
@@ -67,8 +68,8 @@ class Bounds(NamedTuple):
         log_likelihood: E log p_theta(y|z); differential, of either sign.
         entropy_y: h(y); differential, of either sign.
         decoder_kl: E KL(p(y|z) || p_theta(y|z)), zero for the exact decoder alone.
-        objective: L_IB = beta I(x; z) - I(z; y).
-        bound: beta R - E log p_theta(y|z) - h(y) (paper, eq. "vib_upper").
+        objective: L_IB = beta I(x; z) - I(z; y) (paper, eq. "OP:IB").
+        bound: beta R - E log p_theta(y|z) - h(y); without the constant h(y) what is trained (paper, eq. "vib_obj").
         gap: beta KL(q(z) || p(z)) + E KL(p(y|z) || p_theta(y|z)).
     """
 

@@ -1,4 +1,6 @@
-"""The composite objective of O-VIB and its masks (paper, eqs. "prefix_mask" and "composite_loss")."""
+"""What training minimises: the composite objective of O-VIB, and the mask that makes any prefix of the code a code
+(paper, eqs. "composite_loss" and "prefix_mask").
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple, cast
@@ -10,12 +12,15 @@ from ovibjax.encoder.model import OVIB, Architecture, Params, mean_projection, s
 from ovibjax.encoder.orthogonality import orthogonality_penalty
 from ovibjax.encoder.rate import ard_kl, gaussian_kl
 
+ALPHA, BETA, GAMMA = 1.0, 1e-3, 0.1
+"""Weights of localization, rate and orthogonality in the paper's evaluation (Section "Experimental Setup")."""
+
 
 class Hypers(NamedTuple):
     """Numbers of one member of a grid; every field is an array leaf.
 
     Attributes:
-        alpha: weight of the localization term.
+        alpha: weight of the localization term (this and the next two: paper, eq. "composite_loss").
         beta: weight of the rate term.
         gamma: weight of the orthogonality penalty.
         lr: peak learning rate.
@@ -33,14 +38,26 @@ class Hypers(NamedTuple):
 
 
 def make_hypers(
-    alpha: float = 1.0,
-    beta: float = 1e-3,
-    gamma: float = 0.1,
+    alpha: float = ALPHA,
+    beta: float = BETA,
+    gamma: float = GAMMA,
     lr: float = 2e-3,
     weight_decay: float = 1e-4,
     nesting: float = 1.0,
 ) -> Hypers:
-    """Hyperparameters as float32 arrays; defaults are the paper's (alpha, beta, gamma)."""
+    """Hyperparameters as float32 arrays.
+
+    Args:
+        alpha: weight of the localization term; the paper's by default, as the next two.
+        beta: weight of the rate term.
+        gamma: weight of the orthogonality penalty.
+        lr: peak learning rate.
+        weight_decay: decoupled weight decay of AdamW.
+        nesting: share of examples that see a random prefix.
+
+    Returns:
+        The hyperparameters.
+    """
     return Hypers(*(jnp.asarray(value, jnp.float32) for value in (alpha, beta, gamma, lr, weight_decay, nesting)))
 
 
@@ -84,7 +101,7 @@ def composite_loss(
     rows: Sequence[int] | None = None,
     precision: str = "float32",
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The training objective and each of its terms.
+    """The training objective and each of its terms (paper, eq. "composite_loss").
 
     Units: features are centred and scaled so that every coordinate has unit variance on average; dividing their
     squared error by r gives each view unit energy, the scale of the paper's unit-norm features. Positions are

@@ -1,4 +1,4 @@
-"""The O-VIB network: joint encoder over masked views, reconstruction decoder, edge localizer (paper, Section III).
+"""The O-VIB network: an encoder for all views, a decoder and a localizer (paper, Section "Overall Training Objective").
 
 flax.linen used functionally: parameters are a plain pytree; every method takes one batch. Hidden layers use GELU:
 it trains to lower error than ReLU here, because a smooth decoder interpolates between training frames.
@@ -51,7 +51,7 @@ class OVIB(nn.Module):
 
     Attributes:
         arch: widths.
-        precision: type of the operands of matrix products, see `products`.
+        precision: type of the operands of matrix products, see `runtime.precision`.
     """
 
     arch: Architecture
@@ -131,18 +131,45 @@ def init(key: jax.Array, arch: Architecture) -> Params:
 
 
 def encode(params: Params, x: jax.Array, arch: Architecture) -> tuple[jax.Array, jax.Array]:
-    """Posterior mean and log-variance, each [B, K], of masked flattened features x [B, M r]."""
+    """The code of each frame as a distribution, q(z|x).
+
+    Args:
+        params: parameters of the network.
+        x: [B, M r] flattened features, zero where a view is absent.
+        arch: widths of the network (static).
+
+    Returns:
+        Posterior mean and log-variance, each [B, K]; the mean is what is sent.
+    """
     return cast(tuple[jax.Array, jax.Array], OVIB(arch).apply(params, split_views(x, arch), method="encode"))
 
 
 def decode(params: Params, z: jax.Array, arch: Architecture) -> jax.Array:
-    """Reconstructed descriptor [B, M r] of a masked latent z [B, K]."""
+    """The descriptor that a received code stands for.
+
+    Args:
+        params: parameters of the network.
+        z: [B, K] code, zero beyond the prefix that was sent.
+        arch: widths of the network (static).
+
+    Returns:
+        [B, M r] reconstructed features; the caller masks absent views.
+    """
     views = OVIB(arch).apply(params, z, [z.shape[0]] * arch.n_views, method="decode")
     return jnp.concatenate(cast(list[jax.Array], views), axis=1)
 
 
 def locate(params: Params, descriptor: jax.Array, arch: Architecture) -> jax.Array:
-    """Standardised position [B, 3] regressed from a descriptor [B, M r]."""
+    """The position that the edge localizer regresses from a descriptor.
+
+    Args:
+        params: parameters of the network.
+        descriptor: [B, M r] decoded or uncompressed features, zero where a view is absent.
+        arch: widths of the network (static).
+
+    Returns:
+        [B, 3] standardised positions; `MemberData.standardizer` turns them into metres.
+    """
     return cast(jax.Array, OVIB(arch).apply(params, split_views(descriptor, arch), method="locate"))
 
 

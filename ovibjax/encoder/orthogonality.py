@@ -40,7 +40,7 @@ orthogonality_penalty.defvjp(_orthogonality_forward, _orthogonality_backward)
 
 
 class SingularValues(NamedTuple):
-    """Proposition 1 for one matrix: lower <= values <= upper.
+    """Proposition 1 for one matrix: lower <= values <= upper (paper, proposition "vib_orthogonal").
 
     Attributes:
         values: [K] singular values, descending; where K > d_h the last K - d_h are zero.

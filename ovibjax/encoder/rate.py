@@ -1,10 +1,10 @@
-"""Rate terms: divergence of the Gaussian posterior from the prior (paper, eqs. "rate_term" and "ardkl")."""
+"""What a code costs, in nats: the divergence of its distribution from a prior (paper, eqs. "rate_term" and "ardkl")."""
 
 import jax
 import jax.numpy as jnp
 
 ARD_CONSTANTS = (0.63576, 1.87320, 1.48695)
-"""(c1, c2, c3) of the closed-form approximation, fitted by Molchanov et al. (2017)."""
+"""(c1, c2, c3) of the closed-form approximation (paper, eq. "ardkl"), fitted by Molchanov et al. (2017)."""
 
 # A mean of exactly zero makes alpha infinite; below this square the term has long vanished.
 _TINY = 1e-16

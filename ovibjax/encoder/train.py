@@ -18,6 +18,7 @@ from ovibjax.encoder.model import Architecture, Params, init
 from ovibjax.views import MODES, modes_for
 
 PAPER_PREFIXES = (4, 8, 16, 32, 64, 96, 128)
+"""Supported prefix lengths of the scalable encoder (paper, Section "Experimental Setup")."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ def without_nesting(key: jax.Array, prefix_mask: jax.Array, nesting: jax.Array) 
 
 
 def fit(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) -> tuple[Params, dict[str, jax.Array]]:
-    """Train one member (paper, eq. "composite_loss" with AdamW).
+    """Train one encoder from scratch: AdamW on the composite objective (paper, eq. "composite_loss").
 
     Args:
         key: the member's seed; members with equal keys see the same draws.

@@ -1,4 +1,4 @@
-"""Compute and transmission time on the semantic path (paper, Section "Communication Model").
+"""How long a frame takes to be encoded and sent (paper, Section "Communication Model").
 
 Latency counts from the end of feature extraction to the last byte sent: a device profile gives the time to
 encode a prefix of length k, the link adds payload over rate. KB is 1,024 bytes.
@@ -90,7 +90,7 @@ def kbytes_per_s(rate_kb_per_s: Number) -> Number:
 
 
 def semantic_latency_ms(profile: LatencyProfile, k: ArrayLike, rate_bps: ArrayLike) -> jax.Array:
-    """Encoding plus transmission of the serialized 4 k + 20 bytes (paper, table "Deployment overhead").
+    """Encoding plus transmission of the serialized 4 k + 20 bytes (paper, table "scalable_overhead").
 
     Args:
         profile: device profile with leaves [n].

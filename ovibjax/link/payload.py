@@ -1,4 +1,4 @@
-"""Request packets: their size, their bytes and their parser (paper, Section "Scalable View-Rate Encoding").
+"""What a robot sends: request packets, their size, bytes and parser (paper, Section "Scalable View-Rate Encoding").
 
 A packet is a 20-byte header, one 4-byte identifier per selected view and k float32 latent coordinates,
 little-endian without padding. The header carries what the paper lists (view-rate mode, predicted VOI, payload

@@ -1,4 +1,4 @@
-"""Matrix products of the network in a chosen precision.
+"""Matrix products in float32, or faster in bfloat16.
 
 With bfloat16 operands and float32 accumulation, processors with matrix units (AMX, tensor cores) multiply three to
 six times faster; parameters, activations, losses and the optimizer stay in float32.

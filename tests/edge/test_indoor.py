@@ -9,7 +9,8 @@ import pytest
 
 from ovibjax.edge import indoor
 from ovibjax.edge.fusion import kept_weights
-from ovibjax.edge.indoor import DIMS, Protocol, scene_data
+from ovibjax.edge.indoor import DIMS, Protocol
+from ovibjax.edge.indoor_data import scene_data
 from ovibjax.edge.localize import ETAS
 from ovibjax.encoder.model import Architecture, decode, encode, locate
 from ovibjax.encoder.train import TrainConfig
