@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,9 @@ from ovibjax.cards.congestion_study import Congestion, replay_congestion
 from ovibjax.cards.job import Job
 from ovibjax.cards.scheduling_drawing import NAMES
 from ovibjax.cards.scheduling_study import PAIRED, PAPER_V, SCOPES, events_of, metric_columns
-from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.runtime.progress import console
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
 from ovibjax.scheduling.rules import POLICIES
 
@@ -50,13 +47,11 @@ def run(job: Job) -> None:
     """Run the card: recorded requests, replays, table, claims, figure."""
     started = time.perf_counter()
     preset = PRESETS[job.preset]
-    events = events_of(job)
     seeds = [job.seed + i for i in range(preset.seeds)]
-    with console.status("replaying the schedulers"):
-        found = replay_congestion(events, seeds, preset.sensitivity_seeds)
+    found = replay_congestion(events_of(job), seeds, preset.sensitivity_seeds)
     write_rows(job.out / "table.csv", table_rows(found, seeds))
     write_claims(job.out / "claims.json", judge_claims(found))
-    draw(job.out / "figure.png", found)
+    panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.2)
     job.record(TITLE, caption(found, seeds), seeds, started, phase_spread_s=PHASE_SPREAD_S, requests=found.requests)
 
 
@@ -143,14 +138,9 @@ def caption(found: Congestion, seeds: list[int]) -> str:
     )
 
 
-def draw(path: Path, found: Congestion) -> None:
-    """The four panels."""
-    with panels.sheet(path, 2, 2, height_in=2.2) as axes:
-        draw_cost(axes[0], found)
-        fig.title(axes[0], "a", "cost of the requests that matter")
-        draw_edge(axes[1], found)
-        fig.title(axes[1], "b", "edge latency")
-        draw_levels(axes[2], found)
-        fig.title(axes[2], "c", "congestion separates the rules")
-        draw_sensitivity(axes[3], found)
-        fig.title(axes[3], "d", "VOI-Lyapunov against Base-DPP")
+PANELS = {
+    "cost of the requests that matter": draw_cost,
+    "edge latency": draw_edge,
+    "congestion separates the rules": draw_levels,
+    "VOI-Lyapunov against Base-DPP": draw_sensitivity,
+}

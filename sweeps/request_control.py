@@ -1,7 +1,7 @@
 """Fig. "Budget-constrained request-control dynamics": held-out errors, an error curve, and when requests are sent."""
 
 import time
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +11,6 @@ from ovibjax.cards.control_results import policy_rows, representative, represent
 from ovibjax.cards.control_study import ControlStudy
 from ovibjax.cards.job import Job
 from ovibjax.cards.timeline import draw_requests, legend, shade, time_s
-from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
@@ -23,10 +22,11 @@ def run(job: Job) -> None:
     """Run the card: study, table, claims, figure."""
     started = time.perf_counter()
     found = study(job)
+    seed = found.seeds[representative(found)]
     write_rows(job.out / "table.csv", policy_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    draw(job.out / "figure.png", found)
-    job.record(TITLE, caption(found), found.seeds, started, representative_seed=found.seeds[representative(found)])
+    panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.2)
+    job.record(TITLE, caption(found), found.seeds, started, representative_seed=seed)
 
 
 def judge_claims(found: ControlStudy) -> list[Claim]:
@@ -81,19 +81,6 @@ def caption(found: ControlStudy) -> str:
     )
 
 
-def draw(path: Path, found: ControlStudy) -> None:
-    """The four panels."""
-    with panels.sheet(path, 2, 2, height_in=2.2) as axes:
-        draw_error(axes[0], found, "mean_m", PAPER_MEAN_M)
-        fig.title(axes[0], "a", "mean error")
-        draw_error(axes[1], found, "p95_m", PAPER_P95_M)
-        fig.title(axes[1], "b", "95th percentile")
-        _draw_curve(axes[2], found)
-        fig.title(axes[2], "c", "one held-out route")
-        _draw_requests(axes[3], found)
-        fig.title(axes[3], "d", "requests of VOI-Control")
-
-
 def _draw_curve(ax: Axes, found: ControlStudy) -> None:
     seed = representative(found)
     for policy in ("budgeted_periodic", "voi"):
@@ -111,3 +98,11 @@ def _draw_requests(ax: Axes, found: ControlStudy) -> None:
     shade(ax, found.routes.context[representative(found)], found.scene.contexts)
     legend(ax, found.scene.contexts)
     ax.set(xlabel="time (s)")
+
+
+PANELS: dict[str, panels.Panel] = {
+    "mean error": partial(draw_error, metric="mean_m", paper_m=PAPER_MEAN_M),
+    "95th percentile": partial(draw_error, metric="p95_m", paper_m=PAPER_P95_M),
+    "one held-out route": _draw_curve,
+    "requests of VOI-Control": _draw_requests,
+}

@@ -2,13 +2,12 @@
 
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ovibjax.cards.job import Job
-from ovibjax.cards.theorem_drawing import draw_growth, draw_over_v
+from ovibjax.cards.theorem_drawing import draw_backlog, draw_gap, draw_growth
 from ovibjax.cards.theorem_study import (
     BUSY,
     CLIENTS,
@@ -26,7 +25,6 @@ from ovibjax.cards.theorem_study import (
     TheoremSize,
     measure,
 )
-from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
@@ -52,7 +50,7 @@ def run(job: Job) -> None:
     write_rows(job.out / "table.csv", table_rows(found))
     write_rows(job.out / "stability.csv", growth_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    draw(job.out / "figure.png", found)
+    panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.6)
     job.record(
         *(TITLE, caption(preset), seeds, started),
         slots=preset.horizon.blocks * preset.horizon.slots,
@@ -172,14 +170,8 @@ def caption(preset: TheoremSize) -> str:
     )
 
 
-def draw(path: Path, found: TheoremRuns) -> None:
-    """The three panels."""
-    with panels.sheet(path, 3, height_in=2.6) as (gap, backlog, growth):
-        draw_over_v(gap, found, "gap")
-        gap.text(0.97, 0.87, "no V helps", transform=gap.transAxes, ha="right", color=fig.RED, fontsize=6.5)
-        fig.title(gap, "a", "1/V gap, if queues stay busy")
-        draw_over_v(backlog, found, "backlog")
-        fig.title(backlog, "b", "at the price of backlog ∝ V")
-        draw_growth(growth, found)
-        fig.title(growth, "c", "stable up to capacity")
-        gap.figure.legend(*gap.get_legend_handles_labels(), loc="outside lower left", ncols=3)
+PANELS = {
+    "1/V gap, if queues stay busy": draw_gap,
+    "at the price of backlog ∝ V": draw_backlog,
+    "stable up to capacity": draw_growth,
+}

@@ -1,7 +1,6 @@
 """Fig. "View-mode behavior under the budget": where uploads go, what they change, and the prior behind the choice."""
 
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ def run(job: Job) -> None:
     found = study(job)
     write_rows(job.out / "table.csv", table_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    draw(job.out / "figure.png", found)
+    panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.3)
     job.record(TITLE, caption(found), found.seeds, started)
 
 
@@ -132,17 +131,6 @@ def caption(found: ControlStudy) -> str:
     )
 
 
-def draw(path: Path, found: ControlStudy) -> None:
-    """The three panels."""
-    with panels.sheet(path, 3, height_in=2.3) as axes:
-        _draw_share(axes[0], found)
-        fig.title(axes[0], "a", "uploads by context and mode")
-        _draw_risk(axes[1], found)
-        fig.title(axes[1], "b", "what a request changes")
-        _draw_prior(axes[2], found)
-        fig.title(axes[2], "c", "compact prior")
-
-
 def _draw_share(ax: Axes, found: ControlStudy) -> None:
     contexts = found.scene.contexts
     x = range(len(contexts))
@@ -181,3 +169,10 @@ def _draw_prior(ax: Axes, found: ControlStudy) -> None:
     panels.columns(ax, found.scene.contexts, series)
     ax.set(ylabel="median residual (m)", ylim=(0, 1.3 * float(found.scene.predictor_m.max())))
     ax.legend(loc="upper center", ncols=4, columnspacing=0.8, handlelength=1.0)
+
+
+PANELS = {
+    "uploads by context and mode": _draw_share,
+    "what a request changes": _draw_risk,
+    "compact prior": _draw_prior,
+}

@@ -2,7 +2,6 @@
 
 import itertools
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ def run(job: Job) -> None:
     write_rows(job.out / "table.csv", policy_rows(found))
     write_rows(job.out / "sensitivity.csv", sensitivity_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    draw(job.out / "figure.png", found)
+    panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.5)
     job.record(TITLE, caption(found), found.seeds, started, **facts(found))
 
 
@@ -150,19 +149,6 @@ def caption(found: ControlStudy) -> str:
     )
 
 
-def draw(path: Path, found: ControlStudy) -> None:
-    """The four panels."""
-    with panels.sheet(path, 2, 2, height_in=2.5) as axes:
-        _draw_predictor(axes[0], found)
-        fig.title(axes[0], "a", "median residual $g_\\psi$ (m)")
-        _draw_search(axes[1], found)
-        fig.title(axes[1], "b", "budget search on tuning seeds")
-        draw_mean_and_p95(axes[2], found)
-        fig.title(axes[2], "c", "held-out seeds and routes")
-        draw_reductions(axes[3], found)
-        fig.title(axes[3], "d", "reduction by VOI-Control (%)")
-
-
 def _draw_predictor(ax: Axes, found: ControlStudy) -> None:
     values = found.scene.predictor_m
     texts = [[f"{value:.1f}" for value in row] for row in values]
@@ -180,3 +166,11 @@ def _draw_search(ax: Axes, found: ControlStudy) -> None:
     ax.set(xlabel="payload per route (KB)", ylabel="mean local risk (m)", xlim=(0, None), ylim=(0, None))
     ax.set_ylim(0, float(np.percentile(risk, 97)))
     ax.legend(loc="lower left")
+
+
+PANELS = {
+    "median residual $g_\\psi$ (m)": _draw_predictor,
+    "budget search on tuning seeds": _draw_search,
+    "held-out seeds and routes": draw_mean_and_p95,
+    "reduction by VOI-Control (%)": draw_reductions,
+}

@@ -5,19 +5,21 @@ executes it and draws what it finds.
 """
 
 import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
 import numpy as np
+import xarray
 
 from ovibjax.cards.control_study import drives_of
 from ovibjax.cards.job import Job
 from ovibjax.cards.scheduling_drawing import COLOURS, NAMES
-from ovibjax.features.frames import CONTEXTS
+from ovibjax.features.frames import CONTEXTS, FeatureSet
 from ovibjax.report import figures as fig
-from ovibjax.report.best import choose
-from ovibjax.report.claims import HELD, NOT_HELD, Claim, write_claims
+from ovibjax.report import panels
+from ovibjax.report.best import Choice, choose
+from ovibjax.report.claims import Claim, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.runtime.progress import progress_bar
 from ovibjax.scheduling.rules import POLICIES
@@ -68,15 +70,24 @@ def run(job: Job) -> None:
     inside = float(grid.mean_route_m.sel(**best.point, seed=seeds[0]))
     gap = abs(float(alone["mean_route_m"]) / inside - 1.0)
 
-    # 7. A table and a figure.
+    # 7. A table, a judged claim and a figure.
     write_rows(job.out / "table.csv", grid.mean_route_m.to_dataframe().reset_index().to_dict("records"))
-    claim = Claim(
-        "A point run alone, as one pure function, equals the same point inside the grid",
-        *("-", f"relative difference of the route error {gap:.1e}", HELD if gap <= 1e-4 else NOT_HELD, "at most 1e-4"),
+    statement = "A point run alone, as one pure function, equals the same point inside the grid"
+    ours = f"relative difference of the route error {gap:.1e}"
+    write_claims(job.out / "claims.json", [Claim.true(statement, "-", ours, gap <= 1e-4, "at most 1e-4")])
+    draw(job.out / "figure.png", drives, error_m, tail_ms, best)
+    caption = (
+        "The script `sweeps/walkthrough.py`, executed: (a) drives by context, (b) and (c) what a grid of "
+        f"{grid.top_cost.size} points says. Bands are 95 % intervals over {len(seeds)} seeds."
     )
-    write_claims(job.out / "claims.json", [claim])
-    with mpl.rc_context(fig.style()):
-        figure, (plan, errors, tails) = fig.panels(3)
+    job.record(TITLE, caption, seeds, started, points=int(grid.top_cost.size), steps=size.steps)
+
+
+def draw(
+    path: Path, drives: list[FeatureSet], error_m: xarray.DataArray, tail_ms: xarray.DataArray, best: Choice
+) -> None:
+    """The three panels: drives, error by prefix with the best point, latency by prefix and rule."""
+    with panels.sheet(path, 3) as (plan, errors, tails):
         for number, drive in enumerate(drives):
             for code, colour in enumerate(CONTEXT_COLOURS):
                 rows = drive.context == (code if code < len(CONTEXTS) else -1)
@@ -85,22 +96,17 @@ def run(job: Job) -> None:
         plan.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
         plan.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), markerscale=4, ncols=2)
         fig.title(plan, "a", f"{len(drives)} drives")
+
         for beta, colour in zip(BETAS, (fig.BLUE, fig.ORANGE), strict=True):
             fig.band(errors, np.array(KS), error_m.sel(beta=beta).values, colour, f"β = {beta:g}", marker="o")
-        chosen = best.point["k"], best.means["mean_route_m"]
-        errors.plot(*chosen, "*", ms=10, color=fig.RED, label=f"best: k = {chosen[0]}")
+        panels.star(errors, best.point["k"], best.means["mean_route_m"], f"best: k = {best.point['k']}")
         errors.set(xlabel="prefix length k (floats)", ylabel="mean route error (m)", ylim=(0, None))
         errors.legend(loc="lower right")
         fig.title(errors, "b", "error of the route")
+
         for rule in ("edf", "fifo", "voi_lyapunov"):
             fig.band(tails, np.array(KS), tail_ms.sel(scheduler=rule).values, COLOURS[rule], NAMES[rule], marker="o")
         tails.set(xlabel="prefix length k (floats)", ylabel="edge p95, top decile (ms)", ylim=(0, None))
-        tails.set_ylim(top=1.25 * tails.get_ylim()[1])
+        panels.headroom(tails, 1.25)
         tails.legend(loc="upper center", ncols=3, columnspacing=0.8, handlelength=1.4, handletextpad=0.3)
         fig.title(tails, "c", "latency at the edge")
-        fig.save_figure(figure, job.out / "figure.png")
-    caption = (
-        "The script `sweeps/walkthrough.py`, executed: (a) drives by context, (b) and (c) what a grid of "
-        f"{grid.top_cost.size} points says. Bands are 95 % intervals over {len(seeds)} seeds."
-    )
-    job.record(TITLE, caption, seeds, started, points=int(grid.top_cost.size), steps=size.steps)

@@ -3,7 +3,6 @@
 import itertools
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -15,7 +14,6 @@ from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, Interval, interval, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.runtime.progress import console
 from ovibjax.scheduling.rules import Weights
 
 TITLE = "Scheduler weights, searched"
@@ -45,14 +43,13 @@ def run(job: Job) -> None:
     """Run the card: search, held-out comparison, tables, claims, figure."""
     started = time.perf_counter()
     preset = PRESETS[job.preset]
-    events = events_of(job)
+    tuning_seeds = list(range(preset.tuning_seeds))
     seeds = [job.seed + i for i in range(preset.held_out_seeds)]
-    with console.status("searching the weights"):
-        found = search_weights(events, preset.candidates, list(range(preset.tuning_seeds)), seeds)
+    found = search_weights(events_of(job), preset.candidates, tuning_seeds, seeds)
     write_rows(job.out / "table.csv", table_rows(found, seeds))
     write_rows(job.out / "weights.csv", weight_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    draw(job.out / "figure.png", found)
+    panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.4)
     tuning = f"0 to {preset.tuning_seeds - 1}"
     job.record(TITLE, caption(preset, seeds), seeds, started, tuning_seeds=tuning, candidates=preset.candidates)
 
@@ -123,17 +120,6 @@ def caption(preset: Preset, seeds: list[int]) -> str:
     )
 
 
-def draw(path: Path, found: WeightSearch) -> None:
-    """The three panels."""
-    with panels.sheet(path, 3, height_in=2.4) as axes:
-        _draw_search(axes[0], found)
-        fig.title(axes[0], "a", "tuning seeds")
-        _draw_held_out(axes[1], found)
-        fig.title(axes[1], "b", "held-out seeds")
-        _draw_weights(axes[2], found)
-        fig.title(axes[2], "c", "the weights")
-
-
 def _draw_search(ax: Axes, found: WeightSearch) -> None:
     top, every = found.tuning[:, 0], found.tuning[:, 2]
     ax.plot(top, every, ".", ms=1.5, color=fig.SKY, alpha=0.6)
@@ -158,3 +144,6 @@ def _draw_weights(ax: Axes, found: WeightSearch) -> None:
     panels.columns(ax, ["v/G", "v", "laxity", "age", "overr.", "G"], series)
     ax.set(ylabel="weight", yscale="log")
     fig.plain_log_ticks(ax.yaxis, subs=(1.0, 3.0))
+
+
+PANELS = {"tuning seeds": _draw_search, "held-out seeds": _draw_held_out, "the weights": _draw_weights}

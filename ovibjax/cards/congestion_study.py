@@ -8,6 +8,7 @@ import numpy as np
 
 from ovibjax.cards.scheduling_study import PAPER_V, VS, metric_of, paper_cases
 from ovibjax.control.policy_study import seeds_to_keys
+from ovibjax.runtime.progress import console
 from ovibjax.scheduling.clients import Events, ReplayMetrics, default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, Case, compare
 from ovibjax.scheduling.rules import default_params
@@ -49,7 +50,6 @@ def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) 
     params, trace = default_params(), default_trace_params()
     keys, by_v = seeds_to_keys(seeds), params._replace(V=jnp.array(VS, jnp.float32))
     most = max(clients for clients, _ in LEVELS.values())
-    levels = compare(keys, events, paper_cases(*LEVELS), trace, by_v, most)
     places = [(load, spread) for spread in SPREADS_S for load in LOADS]
     cases = Case(
         jnp.array([load for load, _ in places]),
@@ -57,5 +57,7 @@ def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) 
         jnp.array([spread for _, spread in places], jnp.float32),
     )
     rivals = ("voi_lyapunov", "base_dpp", "fifo")
-    varied = compare(keys[:sensitivity_seeds], events, cases, trace, params, max(LOADS), rivals)
-    return Congestion(jax.device_get(levels), jax.device_get(varied), int(events.valid.sum()))
+    with console.status("replaying the schedulers"):
+        levels = compare(keys, events, paper_cases(*LEVELS), trace, by_v, most)
+        varied = compare(keys[:sensitivity_seeds], events, cases, trace, params, max(LOADS), rivals)
+        return Congestion(jax.device_get(levels), jax.device_get(varied), int(events.valid.sum()))

@@ -12,26 +12,32 @@ _LOOKS = (
     (PENDING_LIGHT, fig.RED, "-", "^", "pending requests only, load 0.5"),
     (SHIFTED_LIGHT, fig.GREEN, "-.", "v", "the same, with ν less its maximum"),
 )
-_LABELS = {"gap": "utility below the best (m per slot)", "backlog": "average backlog (requests)"}
 
 
-def draw_over_v(ax: Axes, found: TheoremRuns, metric: str) -> None:
-    """A metric over V in four settings, the bound of the proof, and the slope in the proof's setting.
+def draw_gap(ax: Axes, found: TheoremRuns) -> None:
+    """Utility gap over V; its lines are explained below the figure."""
+    _draw_over_v(ax, found, "gap", (0.05, 0.2), "left")
+    ax.set_ylabel("utility below the best (m per slot)")
+    ax.text(0.97, 0.87, "no V helps", transform=ax.transAxes, ha="right", color=fig.RED, fontsize=6.5)
+    ax.figure.legend(*ax.get_legend_handles_labels(), loc="outside lower left", ncols=3)
 
-    Args:
-        ax: the panel.
-        found: the runs.
-        metric: `gap` or `backlog`.
-    """
+
+def draw_backlog(ax: Axes, found: TheoremRuns) -> None:
+    """Backlog over V."""
+    _draw_over_v(ax, found, "backlog", (0.99, 0.45), "right")
+    ax.set_ylabel("average backlog (requests)")
+
+
+def _draw_over_v(ax: Axes, found: TheoremRuns, metric: str, place: tuple[float, float], side: str) -> None:
+    """A metric in four settings and the bound of the proof; at a place of the panel, the slope in its setting."""
     v = found.runs.V.values
     for setting, colour, style, marker, label in _LOOKS:
         fig.band(ax, v, found.at(setting, metric), colour, label, style, marker)
     bound = found.at(PROOF_BUSY, f"{metric}_bound").mean(axis=0)
     ax.plot(v, bound, "--", color="black", lw=1, label="the proof's bound, load 0.9")
     slope = f"slope {found.slope(PROOF_BUSY, metric).text()}".replace("-", "−")
-    place, side = ((0.05, 0.2), "left") if metric == "gap" else ((0.99, 0.45), "right")
     ax.text(*place, slope, transform=ax.transAxes, ha=side, color=fig.BLUE, fontsize=6.5)
-    ax.set(xscale="log", yscale="log", xlabel="V", ylabel=_LABELS[metric])
+    ax.set(xscale="log", yscale="log", xlabel="V")
     for axis in (ax.xaxis, ax.yaxis):
         fig.plain_log_ticks(axis, subs=(1.0,))
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ovibjax.cards.scheduling_study import VS, metric_of, paper_cases
 from ovibjax.control.policy_study import seeds_to_keys
+from ovibjax.runtime.progress import console
 from ovibjax.scheduling.clients import Events, ReplayMetrics, default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, compare, search
 from ovibjax.scheduling.rules import SchedulerParams, Weights, default_params
@@ -66,14 +67,15 @@ def search_weights(events: Events, count: int, tuning_seeds: list[int], seeds: l
     trace, params = default_trace_params(), default_params()
     tuning_keys, held_keys = seeds_to_keys(tuning_seeds), seeds_to_keys(seeds)
     tried = candidates(count)
-    objectives = np.asarray(search(tuning_keys, events, case, trace, params._replace(weights=tried), n))
-    tuning = objectives[0].mean(axis=0)
-    chosen = (0, int(np.argmin(tuning[:, 0])), int(np.argmin(tuning[:, 2])))
-    picked = Weights(*(leaf[np.array(chosen)] for leaf in tried))
     by_v: SchedulerParams = params._replace(V=jnp.array(VS, jnp.float32))
-    tuned_v = compare(tuning_keys, events, case, trace, by_v, n, ("base_dpp",))["base_dpp"]
-    best_v = int(np.argmin(metric_of(jax.device_get(tuned_v), "top10", "cost")[0].mean(axis=0)))
-    shaped = compare(held_keys, events, case, trace, params._replace(weights=picked), n, ("voi_lyapunov",))
-    base = compare(held_keys, events, case, trace, by_v, n, ("base_dpp",))["base_dpp"]
-    held_out, base = jax.device_get((shaped["voi_lyapunov"], base))
+    with console.status("searching the weights"):
+        objectives = np.asarray(search(tuning_keys, events, case, trace, params._replace(weights=tried), n))
+        tuning = objectives[0].mean(axis=0)
+        chosen = (0, int(np.argmin(tuning[:, 0])), int(np.argmin(tuning[:, 2])))
+        picked = Weights(*(leaf[np.array(chosen)] for leaf in tried))
+        tuned_v = compare(tuning_keys, events, case, trace, by_v, n, ("base_dpp",))["base_dpp"]
+        best_v = int(np.argmin(metric_of(jax.device_get(tuned_v), "top10", "cost")[0].mean(axis=0)))
+        shaped = compare(held_keys, events, case, trace, params._replace(weights=picked), n, ("voi_lyapunov",))
+        base = compare(held_keys, events, case, trace, by_v, n, ("base_dpp",))["base_dpp"]
+        held_out, base = jax.device_get((shaped["voi_lyapunov"], base))
     return WeightSearch(np.stack([np.asarray(w) for w in tried], axis=1), tuning, chosen, held_out, base, best_v)

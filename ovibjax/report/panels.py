@@ -1,18 +1,23 @@
 """Panels that recur in the figures: bars with the paper's tick, grouped columns, heat maps, distributions."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from string import ascii_lowercase
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.report.claims import Interval
-from ovibjax.report.figures import RED, YELLOW, mean_and_half, panels, save_figure, style
+from ovibjax.report.figures import RED, YELLOW, mean_and_half, panels, save_figure, style, title
 
 _CAPS = {"lw": 1, "capsize": 2}
+
+Panel = Callable[[Axes, Any], None]
+"""What draws into a panel what was found."""
 
 
 @contextmanager
@@ -32,6 +37,22 @@ def sheet(path: Path, columns: int, rows: int = 1, height_in: float = 2.1) -> It
         figure, axes = panels(columns, rows, height_in=height_in)
         yield axes
         save_figure(figure, path)
+
+
+def draw_panels(path: Path, found: Any, titled: Mapping[str, Panel], columns: int, height_in: float = 2.1) -> None:
+    """A figure of titled panels, each drawn by a function.
+
+    Args:
+        path: the PNG to write.
+        found: what the panels show.
+        titled: what draws a panel, by its title, in reading order.
+        columns: panels side by side.
+        height_in: height of a row, inches.
+    """
+    with sheet(path, columns, -(-len(titled) // columns), height_in) as axes:
+        for ax, letter, (text, draw) in zip(axes, ascii_lowercase, titled.items(), strict=False):
+            draw(ax, found)
+            title(ax, letter, text)
 
 
 @dataclass(frozen=True)

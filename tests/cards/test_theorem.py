@@ -10,6 +10,7 @@ from ovibjax import sweep
 from ovibjax.cards import theorem_study
 from ovibjax.cards.catalog import cards_folder, load_card
 from ovibjax.report.claims import HELD, NOT_HELD
+from ovibjax.report.panels import draw_panels
 from ovibjax.report.rows import write_rows
 from ovibjax.scheduling.slotted_replay import Horizon
 
@@ -67,5 +68,5 @@ def test_verdicts_can_fail(found):
 
 
 def test_figure(found, tmp_path):
-    card.draw(tmp_path / "figure.png", found)
+    draw_panels(tmp_path / "figure.png", found, card.PANELS, 3)
     assert (tmp_path / "figure.png").stat().st_size > 20_000

@@ -21,6 +21,19 @@ def test_a_sheet_is_written_when_the_block_ends(tmp_path) -> None:
     assert path.read_bytes()[:4] == b"\x89PNG"
 
 
+def test_panels_are_titled_in_reading_order(tmp_path) -> None:
+    drawn = {}
+
+    def panel(name):
+        return lambda ax, found: drawn.setdefault(name, (ax, found))
+
+    panels.draw_panels(tmp_path / "figure.png", 7, {name: panel(name) for name in ("one", "two", "three")}, columns=2)
+    assert {name: found for name, (_, found) in drawn.items()} == {"one": 7, "two": 7, "three": 7}
+    titles = [ax.get_title(loc="left") for ax, _ in drawn.values()]
+    assert [title.split()[-1] for title in titles] == ["one", "two", "three"]
+    assert ["(a" in titles[0].replace("{", ""), "(c" in titles[2].replace("{", "")] == [True, True]
+
+
 def test_bars_stand_from_the_top_with_caps_ticks_and_texts(ax) -> None:
     rows = [
         panels.Bar("a", Interval(2.0, 0.5), BLUE, paper=3.0, text="2.0"),
