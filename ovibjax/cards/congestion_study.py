@@ -9,8 +9,10 @@ import numpy as np
 from ovibjax.cards.scheduling_study import PAPER_V, VS, metric_of, paper_cases
 from ovibjax.control.policy_study import seeds_to_keys
 from ovibjax.runtime.progress import console
-from ovibjax.scheduling.clients import Events, ReplayMetrics, default_trace_params
+from ovibjax.scheduling.clients import default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, Case, compare
+from ovibjax.scheduling.events import Events
+from ovibjax.scheduling.replay_metrics import ReplayMetrics
 from ovibjax.scheduling.rules import default_params
 
 SPREADS_S = (0.27, 0.54, 1.08, 2.16, 4.32)

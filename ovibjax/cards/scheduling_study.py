@@ -5,8 +5,9 @@ import numpy as np
 
 from ovibjax.cards.control_results import representative, representative_replay, study
 from ovibjax.cards.job import Job
-from ovibjax.scheduling.clients import Events, GroupMetrics, ReplayMetrics
-from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case, recorded_events
+from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case
+from ovibjax.scheduling.events import Events, recorded_events
+from ovibjax.scheduling.replay_metrics import GroupMetrics, ReplayMetrics
 
 VS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """Values of V that Base-DPP is run with."""

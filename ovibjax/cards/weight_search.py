@@ -9,8 +9,10 @@ import numpy as np
 from ovibjax.cards.scheduling_study import VS, metric_of, paper_cases
 from ovibjax.control.policy_study import seeds_to_keys
 from ovibjax.runtime.progress import console
-from ovibjax.scheduling.clients import Events, ReplayMetrics, default_trace_params
+from ovibjax.scheduling.clients import default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, compare, search
+from ovibjax.scheduling.events import Events
+from ovibjax.scheduling.replay_metrics import ReplayMetrics
 from ovibjax.scheduling.rules import SchedulerParams, Weights, default_params
 
 SETTINGS = ("paper", "tuned_top10", "tuned_all")

@@ -18,9 +18,7 @@ from ovibjax.world.town.layout import TownConfig
 
 TOWN = TownConfig(seed=2, size_m=180.0)
 
-
 DRIVES = 6
-
 
 SURVEY_M = 9.0
 """Spacing of the edge's references. Leaving out only the frame itself would leave its neighbours, 1.5 m away, and every

@@ -1,9 +1,8 @@
-"""Request traces of many clients and what is measured on their replay (paper, Section "Multi-Client Scheduling").
+"""Many clients on one edge server, each repeating the events of one route (paper, Section "Multi-Client Scheduling").
 
-Every client replays the request events of one route, recorded or synthetic, at a phase of its own; mission urgency,
-deadlines and service-time jitter are drawn per client or request. The paper names these perturbations and not their
-sizes: the defaults of `default_trace_params` are assumptions, chosen so that FIFO at 30 clients and 4 KB/s comes near
-the paper's edge latency.
+Every client starts at a phase of its own; mission urgency, deadlines and service-time jitter are drawn per client or
+request. The paper names these perturbations and not their sizes: the defaults of `default_trace_params` are
+assumptions, chosen so that FIFO at 30 clients and 4 KB/s comes near the paper's edge latency.
 """
 
 from typing import NamedTuple
@@ -11,45 +10,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ovibjax.control.environment import PAPER_SLOTS, PAPER_UPLOAD_SHARE, SLOT_S
 from ovibjax.edge.service import EDGE, ServiceProfile, draw_ms, estimate_ms
 from ovibjax.link.channel import fading_power
 from ovibjax.link.latency import transmit_s
-from ovibjax.link.payload import request_bytes
 from ovibjax.link.profiles import profile_rate_bps
+from ovibjax.scheduling.events import Events
 from ovibjax.scheduling.requests import RequestTrace
-from ovibjax.scheduling.rules import SchedulerParams, scheduling_value
-from ovibjax.views import MODES
-
-_CONTEXTS = 3  # corridor, intersection, repetitive
-_CONTEXT_SHARE = (0.6, 0.25, 0.15)
-_STRETCH_SLOTS = 20
-_PREFIX = 16
-_TOP_SHARE, _TAIL = 0.1, 0.05
-
-
-class Events(NamedTuple):
-    """Requests of one client on one route.
-
-    Attributes:
-        time_s: [E] time of observation since the start of the route.
-        mode: [E] int32 index of the view mode in `views.MODES`.
-        payload_bytes: [E] int32 size of the request.
-        voi_m: [E] predicted net VOI.
-        risk_m: [E] local risk.
-        drift_m_per_s: [E] fitted drift rate.
-        delay_est_ms: [E] predicted latency.
-        valid: [E] bool, false for padding.
-    """
-
-    time_s: jax.Array
-    mode: jax.Array
-    payload_bytes: jax.Array
-    voi_m: jax.Array
-    risk_m: jax.Array
-    drift_m_per_s: jax.Array
-    delay_est_ms: jax.Array
-    valid: jax.Array
 
 
 class TraceParams(NamedTuple):
@@ -88,29 +54,6 @@ class Workload(NamedTuple):
     uplink_ms: jax.Array
 
 
-class GroupMetrics(NamedTuple):
-    """Scheduling metrics of a group of requests; NaN for an empty one.
-
-    Attributes:
-        edge_p95_ms: 95th percentile of waiting plus service.
-        e2e_p95_ms: 95th percentile of encoding, transmission, waiting and service.
-        stale_m: mean stale-feedback penalty, drift rate times end-to-end latency.
-        cost: mean weighted cost, scheduling value times edge latency over relative deadline.
-    """
-
-    edge_p95_ms: jax.Array
-    e2e_p95_ms: jax.Array
-    stale_m: jax.Array
-    cost: jax.Array
-
-
-class ReplayMetrics(NamedTuple):
-    """Metrics of the tenth of the requests with the largest scheduling value, and of all."""
-
-    top: GroupMetrics
-    every: GroupMetrics
-
-
 def default_trace_params() -> TraceParams:
     """Defaults: phases over 0.7 s, urgency 0.5 to 1.5, deadlines 100 to 400 ms, 30.3 ms encoding, no fading."""
     return TraceParams(
@@ -122,49 +65,6 @@ def default_trace_params() -> TraceParams:
         encode_ms=jnp.float32(30.3),
         fading_depth=jnp.float32(0.0),
         service=jax.tree.map(jnp.asarray, EDGE),
-    )
-
-
-def synthetic_events(key: jax.Array, n: int = 22) -> Events:
-    """Plausible events of a route of 296.5 s, for want of recorded ones.
-
-    The route is cut into stretches of 10 s that are corridors, intersections or repetitive blocks; slots request in the
-    proportions that the paper reports for them. Harder contexts drift faster and gain more.
-
-    Args:
-        key: random key.
-        n: events, at most `PAPER_SLOTS`.
-
-    Returns:
-        Events in the order of time, at most one per slot, all valid.
-    """
-    context_key, slot_key, mode_key, voi_key, risk_key, drift_key, delay_key = jax.random.split(key, 7)
-    shares = jnp.log(jnp.array(_CONTEXT_SHARE, jnp.float32))
-    stretches = jax.random.categorical(context_key, shares, shape=(-(-PAPER_SLOTS // _STRETCH_SLOTS),))
-    context = jnp.repeat(stretches, _STRETCH_SLOTS)[:PAPER_SLOTS].astype(jnp.int32)
-    # The largest of weights plus Gumbel noise: slots drawn without replacement.
-    weights = jnp.log(jnp.array(PAPER_UPLOAD_SHARE, jnp.float32))[context]
-    slots = jnp.sort(jax.lax.top_k(weights + jax.random.gumbel(slot_key, (PAPER_SLOTS,)), n)[1])
-    hard = context[slots].astype(jnp.float32) / (_CONTEXTS - 1)
-
-    def between(key: jax.Array, low: float, high: float, pull: float) -> jax.Array:
-        """Uniform draws, pulled towards the upper end where the context is hard."""
-        uniform = jax.random.uniform(key, (n,))
-        return low + (high - low) * ((1.0 - pull) * uniform + pull * hard * uniform)
-
-    views = jnp.array([len(views) for views in MODES.values()], jnp.int32)
-    names = list(MODES)
-    rich = jax.random.bernoulli(mode_key, 0.25 + 0.5 * hard)
-    mode = jnp.where(rich, names.index("A5"), names.index("FS")).astype(jnp.int32)
-    return Events(
-        time_s=SLOT_S * slots.astype(jnp.float32),
-        mode=mode,
-        payload_bytes=request_bytes(jnp.full_like(mode, _PREFIX), views[mode]),
-        voi_m=between(voi_key, 0.5, 6.0, 0.6),
-        risk_m=between(risk_key, 5.0, 9.0, 0.3),
-        drift_m_per_s=between(drift_key, 0.3, 7.6, 0.8),
-        delay_est_ms=between(delay_key, 20.0, 80.0, 0.0),
-        valid=jnp.ones(n, bool),
     )
 
 
@@ -237,62 +137,3 @@ def flatten(clients: Workload) -> Workload:
     """Leaves [N, E] to [N E], client after client."""
     flat: Workload = jax.tree.map(lambda leaf: leaf.reshape(-1), clients)
     return flat
-
-
-def metrics(workload: Workload, wait_ms: jax.Array, params: SchedulerParams) -> ReplayMetrics:
-    """Latencies, stale-feedback penalty and weighted cost of one replay.
-
-    The response latency D_j of the cost counts from the request's arrival at the edge, as its deadline does; the
-    observation-to-correction delay of the penalty is the end-to-end latency.
-
-    Args:
-        workload: leaves [J].
-        wait_ms: [J] waits of its replay, as `replay.waits` gives them.
-        params: scalars; only the coefficients of the scheduling value are used.
-
-    Returns:
-        Scalars.
-    """
-    r = workload.requests
-    valid = jnp.asarray(r.valid, bool)
-    voi, drift, risk, delay, urgency, deadline_ms, service_ms = (
-        jnp.asarray(leaf, jnp.float32)
-        for leaf in (
-            *(r.voi_m, r.drift_m_per_s, r.risk_m, r.delay_est_ms),
-            *(r.urgency, r.deadline_ms, r.service_ms),
-        )
-    )
-    value = scheduling_value(voi, drift, risk, delay, urgency, params.value)
-    edge_ms = wait_ms + service_ms
-    e2e_ms = workload.uplink_ms + edge_ms
-    stale_m = drift * e2e_ms / 1000.0
-    cost = value * edge_ms / deadline_ms
-
-    def group(members: jax.Array) -> GroupMetrics:
-        count = jnp.sum(members.astype(jnp.float32))
-        means = (jnp.sum(jnp.where(members, each, 0.0)) / count for each in (stale_m, cost))
-        return GroupMetrics(_upper_percentile(edge_ms, members), _upper_percentile(e2e_ms, members), *means)
-
-    return ReplayMetrics(group(_top(value, valid)), group(valid))
-
-
-def _top(value: jax.Array, valid: jax.Array) -> jax.Array:
-    """The tenth of the valid requests, rounded up, with the largest values; equals of the last are included."""
-    most = -(-value.size // round(1 / _TOP_SHARE))
-    largest = jax.lax.top_k(jnp.where(valid, value, -jnp.inf), most)[0]
-    count = jnp.ceil(_TOP_SHARE * jnp.sum(valid.astype(jnp.float32)) - 1e-4).astype(jnp.int32)
-    return valid & (value >= largest[jnp.maximum(count - 1, 0)])
-
-
-def _upper_percentile(values: jax.Array, members: jax.Array) -> jax.Array:
-    """95th percentile of the members by linear interpolation, from the largest values only: no sort of them all."""
-    kept = min(values.size, int(_TAIL * values.size) + 2)
-    largest = jax.lax.top_k(jnp.where(members, values, -jnp.inf), kept)[0]
-    count = jnp.sum(members.astype(jnp.float32))
-    from_top = jnp.maximum(_TAIL * (count - 1.0), 0.0)
-    upper = jnp.floor(from_top)
-    at = upper.astype(jnp.int32)
-    above, below = largest[at], largest[jnp.minimum(at + 1, kept - 1)]
-    fraction = from_top - upper
-    between = jnp.where(fraction > 0, above + fraction * (below - above), above)
-    return jnp.where(count > 0, between, jnp.nan)

@@ -1,22 +1,19 @@
-"""Many clients on one edge server: recorded requests to multi-client traces, every rule on every case, one program."""
+"""Low, medium and high congestion at the edge: every scheduling rule on every case and seed, in one program."""
 
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ovibjax.control.actions import ActionSet
-from ovibjax.control.environment import SLOT_S
-from ovibjax.control.route_replay import RouteResult
-from ovibjax.errors import InputError
-from ovibjax.scheduling.clients import Events, ReplayMetrics, TraceParams, Workload, make_trace, metrics
-from ovibjax.scheduling.lanes import run_grid
+from ovibjax.scheduling.clients import TraceParams, Workload, make_trace
+from ovibjax.scheduling.events import Events
+from ovibjax.scheduling.replay_grid import run_grid
+from ovibjax.scheduling.replay_metrics import ReplayMetrics, metrics
 from ovibjax.scheduling.rules import POLICIES, SchedulerParams
 
 LEVELS = {"low": (10, 12.0), "medium": (20, 8.0), "high": (30, 4.0)}
-"""Congestion: clients, and the weak-link profile in KB/s."""
+"""Congestion: clients N, and the weak-link profile in KB/s (paper, Section "Multi-Client Scheduling")."""
 
 PHASE_SPREAD_S = 0.54
 """Clients start the route uniformly within this time. The paper does not give it; at this value the edge p95 of FIFO at
@@ -35,40 +32,6 @@ class Case(NamedTuple):
     clients: jax.Array
     rate_kb_per_s: jax.Array
     phase_spread_s: jax.Array
-
-
-def recorded_events(run: RouteResult, context: np.ndarray, drift_m2_per_s: np.ndarray, actions: ActionSet) -> Events:
-    """Requests of one recorded control replay.
-
-    The fitted drift rate is that at which the local risk grows at the request: d sqrt(tr P) / dt = q / (2 L).
-
-    Args:
-        run: the replay, fields [T], on the host.
-        context: [T] route context.
-        drift_m2_per_s: [C] growth of tr P by context.
-        actions: what action numbers mean.
-
-    Returns:
-        Events in the order of time.
-
-    Raises:
-        InputError: the replay holds no request.
-    """
-    slots = np.flatnonzero(run.sent)
-    if not len(slots):
-        raise InputError("VOI-Control sent no request on the held-out route, so there is nothing to schedule")
-    action = np.asarray(run.action)[slots]
-    risk_m = np.asarray(run.risk_before_m)[slots]
-    return Events(
-        time_s=jnp.asarray(SLOT_S * slots, jnp.float32),
-        mode=jnp.asarray(actions.mode[action]),
-        payload_bytes=jnp.asarray(actions.payload_bytes[action], jnp.int32),
-        voi_m=jnp.asarray(np.asarray(run.voi_m)[slots]),
-        risk_m=jnp.asarray(risk_m),
-        drift_m_per_s=jnp.asarray(np.asarray(drift_m2_per_s)[context[slots]] / (2.0 * risk_m), jnp.float32),
-        delay_est_ms=jnp.asarray(1000.0 * np.asarray(run.delay_s)[slots]),
-        valid=jnp.ones(len(slots), bool),
-    )
 
 
 def workloads(keys: jax.Array, events: Events, cases: Case, trace: TraceParams, n_max: int) -> Workload:

@@ -12,20 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.errors import InputError
-from ovibjax.scheduling.requests import (
-    NEVER,
-    Numbers,
-    Requests,
-    RequestTrace,
-    SplitTrace,
-    check,
-    is_concrete,
-    sort_requests,
-    split_times,
-)
+from ovibjax.scheduling.requests import NEVER, Numbers, Requests, RequestTrace, check, is_concrete
 from ovibjax.scheduling.rules import BY_CLIENT, POLICIES, RULES, Queue, SchedulerParams, default_params
+from ovibjax.scheduling.ticks import SplitTrace, sort_requests, split_times
 
-__all__ = ["POLICIES", "ReplayResult", "RequestTrace", "default_params", "run", "served_order", "waits"]
+__all__ = ["POLICIES", "ReplayResult", "RequestTrace", "default_params", "replay", "served_order", "waits"]
 
 # Requests from the first unserved one on that are looked at; where more have arrived, all are.
 _WINDOW = 64
@@ -43,10 +34,10 @@ class ReplayResult(NamedTuple):
     finish_ms: Numbers
 
 
-def run(trace: RequestTrace, policy: str, params: SchedulerParams) -> ReplayResult:
-    """Replay one trace.
+def replay(trace: RequestTrace, policy: str, params: SchedulerParams) -> ReplayResult:
+    """Replay one trace of requests through the edge server.
 
-    Exact in ticks (see `requests`): about 0.24 microseconds for five minutes, 2 for an hour. Services are rounded to
+    Exact in ticks (see `ticks`): about 0.24 microseconds for five minutes, 2 for an hour. Services are rounded to
     ticks, so n of them back to back may end n / 2 ticks off. NumPy float64 traces give float64 results; of float32 ones
     the results are float32, and `waits` is finer.
 
@@ -81,7 +72,7 @@ def waits(trace: RequestTrace, policy: str, params: SchedulerParams) -> jax.Arra
         [J] float32 milliseconds; NaN for padding.
 
     Raises:
-        InputError: as in `run`.
+        InputError: as in `replay`.
     """
     if policy not in RULES:
         raise InputError(f"policy {policy!r} is unknown; it must be one of {', '.join(POLICIES)}")

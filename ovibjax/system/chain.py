@@ -36,7 +36,6 @@ DIMS: dict[str, tuple[str, ...]] = {
 }
 """Trailing dimensions of the metrics of `along`."""
 
-
 UNITS = {
     **{name: "m" for name in DIMS if name.endswith("_m")},
     **{name: "ms" for name in DIMS if name.endswith("_ms")},

@@ -16,15 +16,15 @@ from ovibjax.encoder.checkpoint import mix_frames
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import Params
 from ovibjax.encoder.train import TrainData, fit
-from ovibjax.link.latency import JETSON, compute_ms_at, transmit_s
-from ovibjax.scheduling.clients import Events, Workload, client_requests, flatten, metrics
-from ovibjax.scheduling.lanes import run_grid
+from ovibjax.scheduling.clients import Workload, client_requests, flatten
+from ovibjax.scheduling.events import Events, first_events
+from ovibjax.scheduling.replay_grid import run_grid
+from ovibjax.scheduling.replay_metrics import metrics
 from ovibjax.scheduling.rules import SchedulerParams
 from ovibjax.system.data import SystemConfig, SystemData
 
 USES_V = ("base_dpp",)
 """Rules whose order depends on V; the shaped rule has weights instead."""
-
 
 HYPERS = ("beta", "gamma", "lr", "weight_decay", "nesting")
 """Fields of a point that training depends on."""
@@ -131,20 +131,7 @@ def arrivals(
     """
 
     def record(run: RouteResult, context: jax.Array) -> tuple[Events, jax.Array]:
-        (slots,) = jnp.nonzero(run.sent, size=static.requests, fill_value=0)
-        action, risk_m = run.action[slots], run.risk_before_m[slots]
-        encode_ms = compute_ms_at(JETSON, actions.prefix)[action]
-        events = Events(
-            time_s=data.env.slot_s * slots.astype(jnp.float32),
-            mode=jnp.asarray(actions.mode)[action],
-            payload_bytes=actions.payload_bytes.astype(jnp.int32)[action],
-            voi_m=run.voi_m[slots],
-            risk_m=risk_m,
-            drift_m_per_s=data.env.drift_m2_per_s[context[slots]] / (2.0 * jnp.maximum(risk_m, 1e-6)),
-            delay_est_ms=1000.0 * run.delay_s[slots],
-            valid=jnp.arange(static.requests) < jnp.sum(run.sent.astype(jnp.int32)),
-        )
-        return events, encode_ms + 1000.0 * transmit_s(events.payload_bytes, run.rate_bps[slots])
+        return first_events(run, context, data.env, actions, static.requests)
 
     events, uplink_ms = jax.vmap(record)(history, routes.context)
 

@@ -38,10 +38,12 @@ import numba
 import numpy as np
 import simpy
 
-from ovibjax.scheduling.clients import default_trace_params, make_trace, synthetic_events
-from ovibjax.scheduling.lanes import run_grid
-from ovibjax.scheduling.requests import RequestTrace, sort_requests, split_times
+from ovibjax.scheduling.clients import default_trace_params, make_trace
+from ovibjax.scheduling.events import synthetic_events
+from ovibjax.scheduling.replay_grid import run_grid
+from ovibjax.scheduling.requests import RequestTrace
 from ovibjax.scheduling.rules import SchedulerParams, Weights, default_params, scheduling_value
+from ovibjax.scheduling.ticks import sort_requests, split_times
 from tests.oracles import scheduling as oracle
 
 CLIENTS, EVENTS, RATE_KB_PER_S = 30, 22, 4.0

@@ -1,8 +1,15 @@
-"""Random request traces of all shapes; every time is a multiple of 1/64 ms, so that any clock adds them exactly."""
+"""Random request traces of all shapes, and what the event loop makes of them.
+
+Every time is a multiple of 1/64 ms, so that any clock adds them exactly.
+"""
 
 import numpy as np
 
 from ovibjax.scheduling.requests import RequestTrace
+from tests.oracles import scheduling as oracle
+
+CERTAIN = 1e-5
+"""Gap between two priorities above which rounding to float32 cannot exchange them."""
 
 KINDS = ("spread", "burst", "ties", "gaps", "overload", "twins", "hour", "single", "empty", "deadlines")
 
@@ -57,3 +64,13 @@ def stack(traces):
 def take(traces, row):
     """One trace of a stack."""
     return RequestTrace(*(leaf[row] for leaf in traces))
+
+
+def expected_waits(trace, policy, **numbers):
+    """Waits [J] by the event loop; NaN for padding."""
+    starts, _, gap = oracle.replay(trace, policy, **numbers)
+    assert gap > CERTAIN, "rounding decides: choose another seed"
+    found = np.full(len(trace.valid), np.nan)
+    for index, start in starts.items():
+        found[index] = start - trace.ready_ms[index]
+    return found

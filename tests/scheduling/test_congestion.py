@@ -1,17 +1,15 @@
-"""From a recorded control replay to the congestion table's numbers."""
-
-from types import SimpleNamespace
+"""The congestion table against one replay at a time."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ovibjax.control.actions import ACTIONS
-from ovibjax.errors import InputError
-from ovibjax.scheduling.clients import default_trace_params, make_trace, metrics, synthetic_events
-from ovibjax.scheduling.congestion import Case, compare, recorded_events, search, workloads
+from ovibjax.scheduling.clients import default_trace_params, make_trace
+from ovibjax.scheduling.congestion import Case, compare, search, workloads
+from ovibjax.scheduling.events import synthetic_events
 from ovibjax.scheduling.queue_replay import waits
+from ovibjax.scheduling.replay_metrics import metrics
 from ovibjax.scheduling.rules import default_params
 
 SEEDS, N_MAX = 3, 6
@@ -33,33 +31,6 @@ def cases():
 @pytest.fixture(scope="module")
 def keys():
     return jax.random.split(jax.random.key(9), SEEDS)
-
-
-def test_recorded_requests_keep_what_the_client_predicted():
-    slots = 10
-    sent = np.zeros(slots, bool)
-    sent[[2, 7]] = True
-    number = np.arange(slots, dtype=np.float32)
-    run = SimpleNamespace(
-        sent=sent,
-        action=np.full(slots, 3),
-        risk_before_m=number + 1.0,
-        voi_m=number / 2,
-        delay_s=number / 100,
-    )
-    context = np.array([0] * 5 + [2] * 5)
-    actions = SimpleNamespace(mode=np.arange(len(ACTIONS)), payload_bytes=100 + np.arange(len(ACTIONS)))
-    events = recorded_events(run, context, np.array([4.0, 9.0, 16.0]), actions)
-    np.testing.assert_array_equal(events.time_s, [1.0, 3.5])
-    np.testing.assert_array_equal(events.mode, [3, 3])
-    np.testing.assert_array_equal(events.payload_bytes, [103, 103])
-    np.testing.assert_allclose(events.voi_m, [1.0, 3.5])
-    np.testing.assert_allclose(events.risk_m, [3.0, 8.0])
-    np.testing.assert_allclose(events.drift_m_per_s, [4.0 / 6.0, 16.0 / 16.0])
-    np.testing.assert_allclose(events.delay_est_ms, [20.0, 70.0])
-    run.sent = np.zeros(slots, bool)
-    with pytest.raises(InputError, match="sent no request"):
-        recorded_events(run, context, np.array([4.0, 9.0, 16.0]), actions)
 
 
 def test_a_case_of_few_clients_is_the_trace_of_those(events, cases, keys):

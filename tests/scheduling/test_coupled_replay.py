@@ -12,8 +12,9 @@ from ovibjax.control.client_state import ControlParams
 from ovibjax.control.controller import make_controller
 from ovibjax.control.environment import Route, draw, make_environment
 from ovibjax.control.route_replay import simulate
-from ovibjax.scheduling.coupled_replay import CoupledResult, Mission, run
+from ovibjax.scheduling.coupled_replay import CoupledParams, CoupledResult, CoupledRules, Fleet, replay_coupled
 from ovibjax.scheduling.rules import default_params
+from ovibjax.scheduling.shared_queue import Mission
 
 SLOTS = 40
 
@@ -37,7 +38,8 @@ def replay(n: int, params: ControlParams, routes: Route, scheduler: str) -> Coup
     keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(1), i))(jnp.arange(n))
     draws = jax.vmap(lambda key, route: draw(key, route, params.env, ACTIONS))(keys, routes)
     mission = Mission(jnp.linspace(0.5, 1.5, n), jnp.full(n, 300.0))
-    return run(jax.random.key(2), draws, routes, mission, "voi", params, scheduler, default_params())
+    numbers = CoupledParams(params, default_params())
+    return replay_coupled(jax.random.key(2), Fleet(draws, routes, mission), numbers, CoupledRules("voi", scheduler))
 
 
 @pytest.mark.parametrize("scheduler", ["fifo", "voi_lyapunov"])

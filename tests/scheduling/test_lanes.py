@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from ovibjax.scheduling import lanes
-from ovibjax.scheduling.lanes import run_grid
 from ovibjax.scheduling.queue_replay import waits
+from ovibjax.scheduling.replay_grid import run_grid
 from ovibjax.scheduling.rules import SchedulerParams, ValueCoefficients, Weights, default_params
 from tests.oracles import scheduling as oracle
-from tests.scheduling.random_requests import KINDS, random_trace, stack, take
-from tests.scheduling.test_queue_replay import expected_waits
+from tests.scheduling.random_requests import KINDS, expected_waits, random_trace, stack, take
 
 N, LANES = 40, 20
 

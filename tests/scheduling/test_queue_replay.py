@@ -8,27 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ovibjax.errors import InputError
-from ovibjax.scheduling.lanes import run_grid
-from ovibjax.scheduling.queue_replay import POLICIES, ReplayResult, default_params, run, waits
+from ovibjax.scheduling.queue_replay import POLICIES, ReplayResult, default_params, replay, waits
+from ovibjax.scheduling.replay_grid import run_grid
 from ovibjax.scheduling.requests import RequestTrace
 from ovibjax.scheduling.rules import Weights
 from tests.oracles import scheduling as oracle
-from tests.scheduling.random_requests import KINDS, random_trace, stack, take
+from tests.scheduling.random_requests import CERTAIN, KINDS, expected_waits, random_trace, stack, take
 
 N = 40
-CERTAIN = 1e-5
-"""Gap between two priorities above which rounding to float32 cannot exchange them."""
 
 some_traces = st.builds(random_trace, st.integers(0, 10**6), st.just(N), st.sampled_from(KINDS))
-
-
-def expected_waits(trace, policy, **numbers):
-    starts, _, gap = oracle.replay(trace, policy, **numbers)
-    assert gap > CERTAIN, "rounding decides: choose another seed"
-    found = np.full(len(trace.valid), np.nan)
-    for index, start in starts.items():
-        found[index] = start - trace.ready_ms[index]
-    return found
 
 
 @pytest.mark.parametrize("policy", POLICIES)
@@ -52,7 +41,7 @@ def test_policies_do_differ():
 @pytest.mark.parametrize("kind", ["burst", "hour", "empty"])
 def test_run_returns_starts_and_finishes(policy, kind):
     trace = random_trace(5, N, kind)
-    result = run(trace, policy, default_params())
+    result = replay(trace, policy, default_params())
     starts, _, _ = oracle.replay(trace, policy)
     expected = np.array([starts.get(i, np.nan) for i in range(N)])
     assert isinstance(result, ReplayResult) and result.start_ms.dtype == np.float64
@@ -64,9 +53,9 @@ def test_float32_traces_give_float32_results():
     trace = random_trace(5, N, "burst")
     narrow = RequestTrace(*(jnp.asarray(leaf) for leaf in trace))
     assert narrow.ready_ms.dtype == jnp.float32
-    result = run(narrow, "voi_lyapunov", default_params())
+    result = replay(narrow, "voi_lyapunov", default_params())
     assert result.start_ms.dtype == jnp.float32 and result.finish_ms.shape == (N,)
-    exact = run(trace, "voi_lyapunov", default_params())
+    exact = replay(trace, "voi_lyapunov", default_params())
     np.testing.assert_allclose(result.start_ms, exact.start_ms, rtol=1e-6)
     np.testing.assert_allclose(result.finish_ms, exact.finish_ms, rtol=1e-6)
 
@@ -80,7 +69,7 @@ def test_an_hour_of_arbitrary_floats_stays_within_ticks(policy):
         trace.ready_ms[-1], trace.valid[-1] = 3.6e6, True
         starts, order, gap = oracle.replay(trace, policy)
         assert gap > CERTAIN
-        result = run(trace, policy, default_params())
+        result = replay(trace, policy, default_params())
         assert list(np.argsort(result.start_ms)[: len(order)]) == order
         expected = np.array([starts.get(i, np.nan) for i in range(N)])
         # A tick is 2^-9 ms; each service of a busy period adds at most half of one.
@@ -92,7 +81,7 @@ def test_ticks_are_fine_for_a_short_trace_and_fit_a_long_one():
         client=np.zeros(4, np.int32), valid=np.ones(4, bool), service_ms=np.full(4, 0.001)
     )
     near = base._replace(ready_ms=np.array([0.0, 1e-4, 2e-4, 3e-4]))
-    np.testing.assert_allclose(run(near, "fifo", default_params()).start_ms, [0, 0.001, 0.002, 0.003], atol=3e-6)
+    np.testing.assert_allclose(replay(near, "fifo", default_params()).start_ms, [0, 0.001, 0.002, 0.003], atol=3e-6)
     far = base._replace(ready_ms=np.array([0.0, 8.64e7, 8.64e7, 8.64e7]))  # a day
     np.testing.assert_allclose(waits(far, "edf", default_params()), np.zeros(4), atol=0.1)
 
@@ -134,7 +123,7 @@ def test_parameters_reach_the_rule():
 
 def served(trace, policy):
     """Valid requests in the order of service: ready, start, finish."""
-    result = run(trace, policy, default_params())
+    result = replay(trace, policy, default_params())
     keep = np.asarray(trace.valid)
     columns = np.stack([trace.ready_ms, result.start_ms, result.finish_ms])[:, keep]
     assert np.isnan(result.start_ms[~keep]).all() and np.isfinite(columns).all()
@@ -207,15 +196,15 @@ def test_bad_numbers_are_refused(field, value, message):
     leaf = np.array(getattr(trace, field))
     leaf[3] = value
     with pytest.raises(InputError, match=message):
-        run(trace._replace(**{field: leaf}), "edf", default_params())
+        replay(trace._replace(**{field: leaf}), "edf", default_params())
 
 
 def test_bad_arguments_are_refused():
     trace = random_trace(4, N, "spread")
     with pytest.raises(InputError, match="policy 'lifo' is unknown"):
-        run(trace, "lifo", default_params())
+        replay(trace, "lifo", default_params())
     with pytest.raises(InputError, match=r"voi_m has shape \(3,\)"):
-        run(trace._replace(voi_m=np.ones(3)), "edf", default_params())
+        replay(trace._replace(voi_m=np.ones(3)), "edf", default_params())
     with pytest.raises(InputError, match="stack them"):
         run_grid(trace, "edf", default_params())
     with pytest.raises(InputError, match="one common length"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ovibjax.scheduling.lanes import run_grid
+from ovibjax.scheduling.replay_grid import run_grid
 from ovibjax.scheduling.requests import RequestTrace
 from ovibjax.scheduling.rules import default_params
 from tests.scheduling.random_requests import stack

@@ -1,0 +1,134 @@
+"""Whole grids of queue replays: many parameters on each of many traces, in one compiled program.
+
+Parameter settings that replay the same trace go side by side through the kernel in `lanes`; traces are shared among the
+local devices.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
+
+from ovibjax.errors import InputError
+from ovibjax.scheduling.lanes import broadcast_params, lane_waits
+from ovibjax.scheduling.queue_replay import served_order, to_trace_order
+from ovibjax.scheduling.requests import Requests, RequestTrace, check
+from ovibjax.scheduling.rules import POLICIES, SchedulerParams
+from ovibjax.scheduling.ticks import SplitTrace, sort_requests, split_times
+
+_LANES = 1024
+_FEW_LANES = 16  # fewer settings are replayed one by one, which compiles less
+
+SWEPT = ("base_dpp", "voi_lyapunov")
+"""Policies that have parameters."""
+
+Summarize = Callable[[Any, jax.Array, SchedulerParams], Any]
+
+
+def run_grid(
+    traces: RequestTrace,
+    policy: str,
+    params: SchedulerParams,
+    summary: Summarize | None = None,
+    context: Any = None,
+    lanes: int = _LANES,
+) -> Any:
+    """Replay every trace with every setting of the parameters.
+
+    Several local devices share the traces. Float64 NumPy traces keep their precision, as in `queue_replay.replay`.
+
+    Args:
+        traces: leaves [R, J].
+        policy: one of `POLICIES`.
+        params: leaves [P] or, where not swept, scalars; P is 1 if none is.
+        summary: function of `context` of one trace, waits [J] and one setting of the parameters, such as
+            `replay_metrics.metrics`. It is applied inside the program, so that the waits of a large grid are never all
+            in memory.
+        context: leaves [R, ...] for the summary.
+        lanes: settings replayed side by side; their state should fit a core's cache.
+
+    Returns:
+        Outputs of `summary`, [R, P, ...]; without it the waits as `queue_replay.waits` gives them, [R, P, J].
+
+    Raises:
+        InputError: an unknown policy, shapes that differ, or times out of range.
+    """
+    if policy not in POLICIES:
+        raise InputError(f"policy {policy!r} is unknown; it must be one of {', '.join(POLICIES)}")
+    check(traces)
+    if jnp.ndim(traces.valid) != 2:
+        raise InputError(f"traces have shape {jnp.shape(traces.valid)}; stack them to [traces, requests]")
+    shapes = {jnp.shape(leaf) for leaf in jax.tree.leaves(params)} - {()}
+    if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
+        raise InputError(f"parameters have shapes {sorted(shapes)}; each must be a scalar or of one common length")
+    params = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), params)
+    # Inside a program that already shares its work among the devices, each has its part.
+    shared_already = bool(jax.sharding.get_abstract_mesh().axis_names)
+    devices = 1 if shared_already else len(jax.local_devices())
+    return _run_grid(split_times(traces), context, params, policy, summary, lanes, devices)
+
+
+@partial(jax.jit, static_argnames=("policy", "summary", "lanes", "devices"))
+def _run_grid(
+    traces: SplitTrace,
+    context: Any,
+    params: SchedulerParams,
+    policy: str,
+    summary: Summarize | None,
+    lanes: int,
+    devices: int,
+) -> Any:
+    n_traces = traces.valid.shape[0]
+    block = partial(_block, policy=policy, summary=summary, lanes=lanes)
+    if devices == 1 or n_traces == 1:
+        return block(traces, context, params)
+    # Whole traces per device; the last one is repeated to fill them up.
+    fill = jnp.minimum(jnp.arange(-(-n_traces // devices) * devices), n_traces - 1)
+    traces, context = jax.tree.map(lambda leaf: leaf[fill], (traces, context))
+    mesh = Mesh(np.array(jax.local_devices()[:devices]), ("traces",))
+    split = jax.shard_map(
+        block, mesh=mesh, in_specs=(P("traces"), P("traces"), P()), out_specs=P("traces"), check_vma=False
+    )
+    return jax.tree.map(lambda leaf: leaf[:n_traces], split(traces, context, params))
+
+
+def _block(
+    traces: SplitTrace, context: Any, params: SchedulerParams, policy: str, summary: Summarize | None, lanes: int
+) -> Any:
+    """All settings of some traces, a chunk of settings after another."""
+    n_lanes = max([leaf.shape[0] for leaf in jax.tree.leaves(params) if leaf.ndim], default=1)
+    width = min(lanes, n_lanes)
+    chunks = -(-n_lanes // width)
+    # Equal chunks, the last setting repeated: a remainder would be a second program inside the first.
+    fill = jnp.minimum(jnp.arange(chunks * width), n_lanes - 1).reshape(chunks, width)
+    replay = lane_waits if policy in SWEPT and width >= _FEW_LANES else _one_by_one
+    axes = jax.tree.map(lambda leaf: 0 if leaf.ndim else None, params)
+
+    def one_chunk(number: jax.Array) -> Any:
+        row, index = number // chunks, fill[number % chunks]
+        trace, about = jax.tree.map(lambda leaf: leaf[row], (traces, context))
+        chosen: SchedulerParams = jax.tree.map(lambda leaf: leaf[index] if leaf.ndim else leaf, params)
+        wait_ms = replay(sort_requests(trace), chosen, policy, width)
+        return wait_ms if summary is None else jax.vmap(summary, (None, 0, axes))(about, wait_ms, chosen)
+
+    n_traces = traces.valid.shape[0]
+    results = jax.lax.map(one_chunk, jnp.arange(n_traces * chunks, dtype=jnp.int32))
+    return jax.tree.map(lambda leaf: leaf.reshape(n_traces, chunks * width, *leaf.shape[2:])[:, :n_lanes], results)
+
+
+def _one_by_one(requests: Requests, params: SchedulerParams, policy: str, n_lanes: int) -> jax.Array:
+    """Waits [L, J] by the plain replay; once for all lanes where the policy has no parameter."""
+
+    def waits(chosen: SchedulerParams) -> jax.Array:
+        return to_trace_order(requests, served_order(requests, policy, chosen))
+
+    every = broadcast_params(params, n_lanes)
+    if policy in SWEPT:
+        return jax.lax.map(waits, every)
+    once = waits(jax.tree.map(lambda leaf: leaf[0], every))
+    return jnp.broadcast_to(once[None], (n_lanes, once.size))

@@ -1,0 +1,46 @@
+"""Events of one client: recorded ones keep what the client predicted, synthetic ones are in order."""
+
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+
+from ovibjax.control.actions import ACTIONS
+from ovibjax.errors import InputError
+from ovibjax.scheduling.events import recorded_events, synthetic_events
+
+
+def test_synthetic_events_are_in_order_one_per_slot():
+    events = synthetic_events(jax.random.key(4), 12)
+    times = np.asarray(events.time_s)
+    assert np.all(np.diff(times) >= 0.5) and times[0] >= 0 and times[-1] < 296.5
+    assert set(np.asarray(events.payload_bytes).tolist()) <= {4 * 16 + 20 + 4 * m for m in (3, 5)}
+    assert np.all(np.asarray(events.valid))
+
+
+def test_recorded_requests_keep_what_the_client_predicted():
+    slots = 10
+    sent = np.zeros(slots, bool)
+    sent[[2, 7]] = True
+    number = np.arange(slots, dtype=np.float32)
+    run = SimpleNamespace(
+        sent=sent,
+        action=np.full(slots, 3),
+        risk_before_m=number + 1.0,
+        voi_m=number / 2,
+        delay_s=number / 100,
+    )
+    context = np.array([0] * 5 + [2] * 5)
+    actions = SimpleNamespace(mode=np.arange(len(ACTIONS)), payload_bytes=100 + np.arange(len(ACTIONS)))
+    events = recorded_events(run, context, np.array([4.0, 9.0, 16.0]), actions)
+    np.testing.assert_array_equal(events.time_s, [1.0, 3.5])
+    np.testing.assert_array_equal(events.mode, [3, 3])
+    np.testing.assert_array_equal(events.payload_bytes, [103, 103])
+    np.testing.assert_allclose(events.voi_m, [1.0, 3.5])
+    np.testing.assert_allclose(events.risk_m, [3.0, 8.0])
+    np.testing.assert_allclose(events.drift_m_per_s, [4.0 / 6.0, 16.0 / 16.0])
+    np.testing.assert_allclose(events.delay_est_ms, [20.0, 70.0])
+    run.sent = np.zeros(slots, bool)
+    with pytest.raises(InputError, match="sent no request"):
+        recorded_events(run, context, np.array([4.0, 9.0, 16.0]), actions)
