@@ -110,7 +110,7 @@ def main() -> None:
         print(f"ovibjax: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt as error:
-        print(f"ovibjax: {error or 'interrupted'}", file=sys.stderr)
+        print(f"ovibjax: {str(error) or 'interrupted'}", file=sys.stderr)
         sys.stderr.flush()
         # Compiled programs still running in worker threads cannot be stopped; do not wait for them.
         os._exit(130)

@@ -1,19 +1,13 @@
-"""What a card's job keeps between runs, and what becomes of cards that the data do not allow."""
+"""What a card's job keeps between runs."""
 
 import os
 import time
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from ovibjax import sweep
-from ovibjax.cards import catalog
 from ovibjax.cards.job import _remove_old
-from ovibjax.cards.reproduce import reproduce
-from ovibjax.errors import InputError
-from ovibjax.features.feature_files import save
-from ovibjax.features.frames import make_feature_set
 
 
 def fn(key, point, shared):
@@ -43,32 +37,3 @@ def test_only_finished_sweeps_that_nobody_used_for_long_are_removed(tmp_path):
     _remove_old(tmp_path)
     assert not paths["old_finished"].exists()
     assert paths["old_unfinished"].exists() and paths["new_finished"].exists() and (tmp_path / "thesis.zarr").exists()
-
-
-@pytest.fixture
-def mine(tmp_path, monkeypatch):
-    """Somebody's data, and two cards: one that the data do not allow, one that writes a file."""
-    cards = tmp_path / "cards"
-    cards.mkdir()
-    start = "from ovibjax.errors import InputError\nTITLE = 'T'\ndef run(job):\n    "
-    (cards / "a_picky.py").write_text(start + "raise InputError(f'{job.source}: no contexts')\n")
-    (cards / "b_easy.py").write_text(start + "(job.out / 'made').write_text('')\n")
-    monkeypatch.setattr(catalog, "cards_folder", lambda: cards)
-    rng = np.random.default_rng(0)
-    save(tmp_path / "mine.npz", make_feature_set(rng.normal(size=(220, 5, 8)), rng.uniform(size=(220, 3))))
-    return tmp_path
-
-
-def test_a_figure_that_the_data_do_not_allow_is_named_and_the_others_are_made(mine, capsys):
-    reproduce("smoke", data=[mine / "mine.npz"], out=mine / "out")
-    said = "".join(capsys.readouterr().err.split())  # lines may be wrapped anywhere
-    assert "a_picky:leftout" in said and "mine.npz:nocontexts" in said
-    assert (mine / "out" / "b_easy" / "made").exists() and not (mine / "out" / "a_picky").exists()
-
-
-def test_a_figure_asked_for_by_name_is_refused(mine):
-    with pytest.raises(InputError, match="no contexts"):
-        reproduce("smoke", ["a_picky"], data=[mine / "mine.npz"], out=mine / "out")
-    (mine / "cards" / "b_easy.py").unlink()
-    with pytest.raises(InputError, match="allows no figure"):
-        reproduce("smoke", data=[mine / "mine.npz"], out=mine / "out")

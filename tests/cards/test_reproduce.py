@@ -1,22 +1,20 @@
-"""The command line end to end: the smallest preset, somebody else's data, bad input, interruption."""
+"""Cards run end to end: the smallest preset, somebody else's data, and what their data do not allow."""
 
 import csv
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from ovibjax.cards.catalog import card_names, cards_folder, load_card
-from ovibjax.cli.main import main
+from ovibjax.cards import catalog
+from ovibjax.cards.catalog import card_names
+from ovibjax.cards.reproduce import reproduce
+from ovibjax.errors import InputError
 from ovibjax.features.feature_files import save
 from ovibjax.features.frames import make_feature_set
+from tests.cli.cases import ovibjax
 
 TABLE_COLUMNS = ["method", "k", "seed", "payload_bytes", "mean_m", "p90_m", "eta"]
 
@@ -24,12 +22,6 @@ TABLE_COLUMNS = ["method", "k", "seed", "payload_bytes", "mean_m", "p90_m", "eta
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cache")
-
-
-def ovibjax(*arguments: str, cache: Path, cwd: Path, timeout: float = 600) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "OVIBJAX_CACHE": str(cache), "COLUMNS": "200"}
-    command = [sys.executable, "-m", "ovibjax", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=timeout)
 
 
 def write_set(path: Path, n: int = 240, n_views: int = 5, dim: int = 24) -> None:
@@ -64,7 +56,6 @@ GROUPS = (
     ("voi_predictor", "request_control", "view_rate_selection", "voi_timing", "multi_client", "weights"),
     ("system_grid", "walkthrough", "theorem", "retrieval", "real_scene"),
 )
-"""Cards of one process: those of a group share what they compute."""
 
 
 def test_every_card_is_in_a_group() -> None:
@@ -113,66 +104,30 @@ def test_somebody_elses_feature_set(tmp_path: Path, cache: Path) -> None:
     assert "Image codecs are left out" in facts["caption"]
 
 
-def test_bad_input_is_one_line_and_exit_code_2(
-    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_set(tmp_path / "few.npz", n=150)
-    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 this is no archive")
-    (tmp_path / "file").write_text("")
-    (tmp_path / "card.py").write_text("TITLE = 'no run'\n")
-    cases = {
-        ("--data", "absent.npz"): "absent.npz",
-        ("--data", "few.npz"): "200",
-        ("--data", "broken.npz"): "broken.npz",
-        ("--only", "scalable_compresion"): "scalable_compresion",
-        ("--backbone", "clap"): "clap",
-        ("--seed", "-1"): "-1",
-        ("--rank", "-3"): "-3",
-        ("--out", "file/inside"): "file",
-        ("--sweep", "card.py"): "run",
-        ("--sweep", "absent.py"): "absent.py",
-        ("--preset", "huge"): "huge",
-        ("--sed", "1"): "--sed",
-    }
-    before = sorted(path.name for path in tmp_path.iterdir())
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("OVIBJAX_CACHE", str(cache))
-    for arguments, word in cases.items():
-        monkeypatch.setattr(sys, "argv", ["ovibjax", "reproduce", *arguments])
-        with pytest.raises(SystemExit) as left:
-            main()
-        assert left.value.code == 2
-        said = capsys.readouterr().err
-        assert word in said, (arguments, said)
-        if arguments[0] not in ("--preset", "--sed"):  # the option parser draws a box around its own message
-            assert len(said.strip().splitlines()) == 1, (arguments, said)
-    # As a process of its own: no traceback either.
-    done = ovibjax("reproduce", "--data", "broken.npz", cache=cache, cwd=tmp_path, timeout=180)
-    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1, done.stderr
-    after = sorted(path.name for path in tmp_path.iterdir() if path.name != "results" or any(path.iterdir()))
-    assert after == before
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """Somebody's data, and two cards: one that the data do not allow, one that writes a file."""
+    cards = tmp_path / "cards"
+    cards.mkdir()
+    start = "from ovibjax.errors import InputError\nTITLE = 'T'\ndef run(job):\n    "
+    (cards / "a_picky.py").write_text(start + "raise InputError(f'{job.source}: no contexts')\n")
+    (cards / "b_easy.py").write_text(start + "(job.out / 'made').write_text('')\n")
+    monkeypatch.setattr(catalog, "cards_folder", lambda: cards)
+    rng = np.random.default_rng(0)
+    save(tmp_path / "mine.npz", make_feature_set(rng.normal(size=(220, 5, 8)), rng.uniform(size=(220, 3))))
+    return tmp_path
 
 
-def test_interrupt_ends_in_one_line(tmp_path: Path, cache: Path) -> None:
-    environment = {**os.environ, "OVIBJAX_CACHE": str(cache)}
-    command = [sys.executable, "-m", "ovibjax", "reproduce", "--preset", "quick"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path) as process:
-        time.sleep(12)
-        process.send_signal(signal.SIGINT)
-        _, stderr = process.communicate(timeout=180)
-    assert process.returncode == 130, stderr
-    assert "Traceback" not in stderr and "interrupted" in stderr
+def test_a_figure_that_the_data_do_not_allow_is_named_and_the_others_are_made(mine, capsys):
+    reproduce("smoke", data=[mine / "mine.npz"], out=mine / "out")
+    said = "".join(capsys.readouterr().err.split())  # lines may be wrapped anywhere
+    assert "a_picky:leftout" in said and "mine.npz:nocontexts" in said
+    assert (mine / "out" / "b_easy" / "made").exists() and not (mine / "out" / "a_picky").exists()
 
 
-def test_every_card_loads_and_says_what_it_is() -> None:
-    assert "scalable_compression" in card_names()
-    for name in card_names():
-        card = load_card(cards_folder() / f"{name}.py")
-        assert card.TITLE and callable(card.run)
-
-
-def test_help_teaches(tmp_path: Path, cache: Path) -> None:
-    for command in ((), ("reproduce",), ("town",)):
-        done = ovibjax(*command, "--help", cache=cache, cwd=tmp_path, timeout=180)
-        assert done.returncode == 0 and len(done.stdout) > 200
-    assert "quick" in ovibjax("reproduce", "--help", cache=cache, cwd=tmp_path).stdout
+def test_a_figure_asked_for_by_name_is_refused(mine):
+    with pytest.raises(InputError, match="no contexts"):
+        reproduce("smoke", ["a_picky"], data=[mine / "mine.npz"], out=mine / "out")
+    (mine / "cards" / "b_easy.py").unlink()
+    with pytest.raises(InputError, match="allows no figure"):
+        reproduce("smoke", data=[mine / "mine.npz"], out=mine / "out")

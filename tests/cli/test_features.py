@@ -1,8 +1,5 @@
 """The features command in a process of its own: somebody's images to a feature file, and bad input in one line."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,20 +8,17 @@ import pytest
 from ovibjax.features.backbones.by_name import open_backbone
 from ovibjax.features.feature_files import load
 from ovibjax.features.images.decoding import decode_image
+from tests.cli.cases import ovibjax
 from tests.features.images.made_images import pack, write, write_layout, write_table
-
-
-def ovibjax(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "COLUMNS": "200"}
-    command = [sys.executable, "-m", "ovibjax", "features", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=300)
 
 
 def test_a_table_becomes_a_feature_file(tmp_path: Path) -> None:
     write_table(tmp_path, 4)
     write(tmp_path / "images/Left/2.png", b"broken")
     (tmp_path / "images/Down/3.png").unlink()
-    done = ovibjax("my.csv", "--images", "images/{view}/{frame}.png", "--out", "mine.npz", "--batch", "3", cwd=tmp_path)
+    done = ovibjax(
+        "features", "my.csv", "--images", "images/{view}/{frame}.png", "--out", "mine.npz", "--batch", "3", cwd=tmp_path
+    )
     assert done.returncode == 0 and done.stdout == "", done.stderr
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     assert lines == [
@@ -57,13 +51,13 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, arguments: tuple[
     whole = pack(tmp_path / "town", tmp_path / "cut.tar").read_bytes()
     write(tmp_path / "cut.tar", whole[:4000])
     (tmp_path / "town/rgb/Back/000001.png").unlink()
-    done = ovibjax(*arguments, cwd=tmp_path)
+    done = ovibjax("features", *arguments, cwd=tmp_path)
     assert done.returncode == 2 and words in done.stderr, done.stderr
     assert len(done.stderr.strip().splitlines()) == 1 and "Traceback" not in done.stderr, done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cut.tar", "town"]
 
 
 def test_help_teaches(tmp_path: Path) -> None:
-    done = ovibjax("--help", cwd=tmp_path)
+    done = ovibjax("features", "--help", cwd=tmp_path)
     for words in ("frame,x_m,y_m,z_m,yaw_deg", "rgb/<Camera>/<frame>.png", "--strict", "images/{view}/{frame}.jpg"):
         assert words in done.stdout, words

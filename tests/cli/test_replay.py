@@ -1,23 +1,14 @@
 """The replay command end to end: somebody's own frames and link, and bad input in one line."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from ovibjax.cli.main import main
 from ovibjax.features.feature_files import save
 from ovibjax.features.frames import make_feature_set
-
-
-def ovibjax(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "OVIBJAX_CACHE": str(cwd / "cache"), "COLUMNS": "200"}
-    command = [sys.executable, "-m", "ovibjax", "replay", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=300)
+from tests.cli.cases import ovibjax, said_of_bad_input
 
 
 def write_drive(path: Path, n: int = 220, n_views: int = 4, dim: int = 24) -> None:
@@ -33,8 +24,21 @@ def test_own_frames_on_a_measured_link(tmp_path: Path) -> None:
     write_drive(tmp_path / "mine.npz")
     (tmp_path / "link.txt").write_text("".join(f"{t} {0.05 + 0.01 * (t % 3)}\n" for t in range(60)))
     done = ovibjax(
-        *("--policy", "voi", "uncertainty", "--data", "mine.npz", "--trace", "link.txt", "--seed", "3", "--plot"),
+        *(
+            "replay",
+            "--policy",
+            "voi",
+            "uncertainty",
+            "--data",
+            "mine.npz",
+            "--trace",
+            "link.txt",
+            "--seed",
+            "3",
+            "--plot",
+        ),
         cwd=tmp_path,
+        cache=tmp_path / "cache",
     )
     assert done.returncode == 0, done.stderr
     rows = [line.split("│")[1:-1] for line in done.stdout.splitlines() if "voi" in line or "uncertainty" in line]
@@ -64,9 +68,5 @@ def test_bad_input_is_one_line_and_exit_code_2(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("OVIBJAX_CACHE", str(tmp_path / "cache"))
     for arguments, words in cases.items():
-        monkeypatch.setattr(sys, "argv", ["ovibjax", "replay", *arguments])
-        with pytest.raises(SystemExit) as left:
-            main()
-        assert left.value.code == 2
-        said = capsys.readouterr().err
+        said = said_of_bad_input(monkeypatch, capsys, "replay", *arguments)
         assert words in said and len(said.strip().splitlines()) == 1, (arguments, said)

@@ -10,10 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from ovibjax.cli.main import check_options, main
-from ovibjax.cli.options import integers, numbers
-from ovibjax.errors import InputError
 from ovibjax.sweep.store import open_dataset
+from tests.cli.cases import ovibjax, said_of_bad_input
 
 AXES = ("--gamma", "0", "0.1", "--beta", "1e-3", "--seed", "0:2", "--prefix", "4", "8", "--latent", "8")
 
@@ -29,21 +27,13 @@ def features(tmp_path_factory):
     return path
 
 
-def ovibjax(*arguments, **options):
-    command = [sys.executable, "-m", "ovibjax", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=240, **options)
-
-
 @pytest.fixture
 def refused(monkeypatch, capsys):
-    """Run a command here, without the seconds a new process takes; it must end with one line and exit code 2."""
+    """Run a command that must end with one line and exit code 2."""
 
     def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["ovibjax", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            main()
-        assert left.value.code == 2
-        lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("ovibjax:")]
+        said = said_of_bad_input(monkeypatch, capsys, *arguments)
+        lines = [line for line in said.splitlines() if line.startswith("ovibjax:")]
         assert len(lines) == 1
         return lines[0]
 
@@ -138,17 +128,3 @@ def test_devices_split_the_processor(features, tmp_path):
     done = ovibjax(*arguments, "--devices", 2, env=environment)
     assert done.returncode == 0, done.stderr
     assert open_dataset(out).attrs["config"]["execution"]["devices"] == 2
-
-
-def test_values_are_parsed():
-    assert integers("seed", ("0:3", "7"), 0, 9) == [0, 1, 2, 7]
-    assert numbers("beta", ("1e-4", "0"), lambda value: value >= 0, "zero or more") == [1e-4, 0.0]
-    with pytest.raises(InputError, match="--beta nan"):
-        numbers("beta", ("nan",), lambda value: value >= 0, "zero or more")
-
-
-def test_options_are_checked_per_command():
-    check_options(["show", "runs/a.zarr", "--plot=gamma"])
-    check_options(["sweep", "train", "--no-keep-params", "--weight_decay", "0"])
-    with pytest.raises(InputError, match="did you mean --preset"):
-        check_options(["reproduce", "--prset", "full"])
