@@ -56,17 +56,17 @@ def run(job: Job) -> None:
 
 
 def table_rows(found: Congestion, seeds: list[int]) -> list[dict[str, Any]]:
-    """One row per congestion level, policy, seed and scope, at the paper's V."""
+    """One row per congestion level, rule, seed and scope, at the paper's V."""
     return [
         {
             "congestion": level,
-            "policy": policy,
+            "policy": rule,
             "seed": seed,
             "scope": scope,
-            **metric_columns(found.levels[policy], scope, (case, i, PAPER_V)),
+            **metric_columns(found.levels[rule], scope, (case, i, PAPER_V)),
         }
         for case, level in enumerate(LEVELS)
-        for policy in POLICIES
+        for rule in POLICIES
         for i, seed in enumerate(seeds)
         for scope in SCOPES
     ]
@@ -105,7 +105,7 @@ def judge_claims(found: Congestion) -> list[Claim]:
 
 def _lowest(found: Congestion, metric: str, word: str, unit: str, digits: int) -> Claim:
     order = ("voi_lyapunov", "base_dpp", "maxweight", "edf", "fifo")
-    ours, *rivals = (found.at(policy, "top10", metric) for policy in order)
+    ours, *rivals = (found.at(rule, "top10", metric) for rule in order)
     texts = [interval(values).text(unit, digits) for values in (ours, *rivals)]
     return Claim.less(
         f"Top decile at high congestion: VOI-Lyapunov has the lowest {word} of the five",
@@ -117,7 +117,7 @@ def _lowest(found: Congestion, metric: str, word: str, unit: str, digits: int) -
 
 
 def _faster(found: Congestion, fast: str, slow: str) -> Claim:
-    a, b = (found.at(policy, "all", "edge_p95_ms") for policy in (fast, slow))
+    a, b = (found.at(rule, "all", "edge_p95_ms") for rule in (fast, slow))
     return Claim.less(
         f"All requests at high congestion: {NAMES[fast]} has a lower edge p95 than {NAMES[slow]}",
         f"{PAPER_ALL_EDGE_MS[fast]} / {PAPER_ALL_EDGE_MS[slow]} ms",

@@ -27,9 +27,9 @@ PAPER_ALL_EDGE_MS = {"voi_lyapunov": 185.7, "base_dpp": 232.5, "maxweight": 217.
 def draw_cost(ax: Axes, found: Congestion) -> None:
     """Weighted cost of the top decile by rule, at high congestion."""
     rows = []
-    for policy, name in NAMES.items():
-        span = interval(found.at(policy, "top10", "cost"))
-        rows.append(panels.Bar(name, span, COLOURS[policy], PAPER_TOP["cost"].get(policy), f"{span.mean:.2f}"))
+    for rule, name in NAMES.items():
+        span = interval(found.at(rule, "top10", "cost"))
+        rows.append(panels.Bar(name, span, COLOURS[rule], PAPER_TOP["cost"].get(rule), f"{span.mean:.2f}"))
     panels.bars(ax, rows, inside=True)
     ax.set(xlabel="weighted cost, top decile")
     ax.legend(loc="upper right")
@@ -37,16 +37,16 @@ def draw_cost(ax: Axes, found: Congestion) -> None:
 
 def draw_edge(ax: Axes, found: Congestion) -> None:
     """Edge p95 by rule at high congestion, of the top decile and of all requests."""
-    for row, policy in enumerate(NAMES):
+    for row, rule in enumerate(NAMES):
         for scope, place, alpha, paper in (
             ("top10", row - 0.19, 1.0, PAPER_TOP["edge_p95_ms"]),
             ("all", row + 0.19, 0.45, PAPER_ALL_EDGE_MS),
         ):
-            span = interval(found.at(policy, scope, "edge_p95_ms"))
-            look: dict[str, Any] = {"color": COLOURS[policy], "alpha": alpha, "error_kw": {"lw": 1, "capsize": 2}}
+            span = interval(found.at(rule, scope, "edge_p95_ms"))
+            look: dict[str, Any] = {"color": COLOURS[rule], "alpha": alpha, "error_kw": {"lw": 1, "capsize": 2}}
             ax.barh(place, span.mean, xerr=span.cap, height=0.36, **look)
-            if policy in paper:
-                panels.paper_tick(ax, paper[policy], place, 7)
+            if rule in paper:
+                panels.paper_tick(ax, paper[rule], place, 7)
             ax.text(span.mean + span.cap, place, f" {span.mean:.0f}", va="center", fontsize=6)
     panels.category_axis(ax, list(NAMES.values()))
     ax.set(xlabel="edge p95 (ms): solid top decile, pale all requests")
@@ -55,11 +55,11 @@ def draw_edge(ax: Axes, found: Congestion) -> None:
 def draw_levels(ax: Axes, found: Congestion) -> None:
     """Edge p95 of the top decile by congestion level, a line per rule."""
     x = np.arange(len(LEVELS))
-    for policy in NAMES:
-        spans = [interval(found.at(policy, "top10", "edge_p95_ms", level)) for level in LEVELS]
-        width = {"base_dpp": 4.5, "maxweight": 2.6}.get(policy, 1.2)  # these may lie under FIFO
+    for rule in NAMES:
+        spans = [interval(found.at(rule, "top10", "edge_p95_ms", level)) for level in LEVELS]
+        width = {"base_dpp": 4.5, "maxweight": 2.6}.get(rule, 1.2)  # these may lie under FIFO
         means, caps = [s.mean for s in spans], [s.cap for s in spans]
-        look: dict[str, Any] = {"color": COLOURS[policy], "label": NAMES[policy], "lw": width}
+        look: dict[str, Any] = {"color": COLOURS[rule], "label": NAMES[rule], "lw": width}
         ax.errorbar(x, means, caps, fmt="o-", ms=3.5, capsize=2, **look)
     ax.set_xticks(x, [f"{name}\nN = {n}, {rate:g} KB/s" for name, (n, rate) in LEVELS.items()])
     ax.set(ylabel="edge p95, top decile (ms)")

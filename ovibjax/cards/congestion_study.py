@@ -24,8 +24,8 @@ class Congestion:
     """Metrics of the rules under congestion, on the host.
 
     Attributes:
-        levels: [levels, seeds, V] by policy.
-        varied: [spreads x loads, seeds, 1] by policy, at 4 KB/s.
+        levels: [levels, seeds, V] by rule.
+        varied: [spreads x loads, seeds, 1] by rule, at 4 KB/s.
         requests: requests per client.
     """
 
@@ -33,9 +33,9 @@ class Congestion:
     varied: dict[str, ReplayMetrics]
     requests: int
 
-    def at(self, policy: str, scope: str, metric: str, level: str = "high") -> np.ndarray:
+    def at(self, rule: str, scope: str, metric: str, level: str = "high") -> np.ndarray:
         """[seeds] a metric at the paper's V."""
-        return metric_of(self.levels[policy], scope, metric)[list(LEVELS).index(level), :, PAPER_V]
+        return metric_of(self.levels[rule], scope, metric)[list(LEVELS).index(level), :, PAPER_V]
 
 
 def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) -> Congestion:
