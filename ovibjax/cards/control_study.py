@@ -8,23 +8,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.control.controller import Controller
+from ovibjax.control.controller import PAPER_BUDGET_KB, Controller
 from ovibjax.control.drives import DRIVES, embedded_drives, halves
 from ovibjax.control.environment import PAPER_SLOTS, Environment, Route, make_environment
-from ovibjax.control.policy_study import (
-    Outcome,
-    Setting,
-    StudySize,
-    routes_for_seeds,
-    run_study,
-)
+from ovibjax.control.policy_study import Outcome, Setting, StudySize, routes_for_seeds, run_study
 from ovibjax.control.route_replay import RouteResult
 from ovibjax.control.scene import Scene, make_scene
 from ovibjax.encoder.checkpoint import CheckpointConfig
 from ovibjax.features.frames import FeatureSet, content_hash
 
 PAPER_PROFILE_KB_PER_S = 8.0
-DRIFT_SCALES, BUDGETS_KB = (0.5, 1.0, 2.0), (1.05, 2.1, 4.2)
+"""Link profile of request control, the middle of the paper's 4 to 12 KB/s (paper, Section "Experimental Setup")."""
+
+DRIFT_SCALES = (0.5, 1.0, 2.0)
+"""Factors on the drift rates."""
+
+BUDGETS_KB = (0.5 * PAPER_BUDGET_KB, PAPER_BUDGET_KB, 2.0 * PAPER_BUDGET_KB)
+"""Payload per route; with `DRIFT_SCALES` the settings of the sensitivity study."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class ControlStudy:
         env: the environment of the first setting.
         control: the chosen configuration at the first setting.
         routes: [seeds, T, ...] held-out route of each seed.
-        runs: histories [seeds, T] of the policies in `study.SHOWN` at the first setting.
+        runs: histories [seeds, T] of the policies in `policy_study.SHOWN` at the first setting.
         seeds: held-out seeds.
     """
 
@@ -124,7 +124,7 @@ def control_study(preset: str, first_seed: int, drives: list[FeatureSet], traini
 
 
 def _make(preset: ControlPreset, first_seed: int, scene: Scene) -> ControlStudy:
-    points = [(1.0, BUDGETS_KB[1])]
+    points = [(1.0, PAPER_BUDGET_KB)]
     if preset.sensitivity:
         points += [(d, b) for d in DRIFT_SCALES for b in BUDGETS_KB if (d, b) != points[0]]
     scales, budgets = zip(*points, strict=True)

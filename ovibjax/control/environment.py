@@ -1,4 +1,4 @@
-"""What one replay happens in: a route with its residuals, the environment's numbers, and one seed's draws of it.
+"""The world around a client in one replay: its route, and one seed's drift, channel and queue along it.
 
 A seed fixes one realization of channel, drift, request timing and queue state (paper, "Experimental Setup"); it does
 not depend on what the controller does, so policies that share a seed are paired.
@@ -19,7 +19,7 @@ from ovibjax.link.latency import JETSON, compute_ms_at
 from ovibjax.link.profiles import profile_rate_bps
 
 SLOT_S = 0.5
-"""Length of a slot of request replay."""
+"""Length of a slot of request replay (paper, Section "Experimental Setup")."""
 
 
 class Route(NamedTuple):
@@ -74,10 +74,17 @@ class Environment(NamedTuple):
     timeout_s: Any
 
 
+PAPER_SLOTS = 593
+"""Slots of the held-out route (paper, Table "setup")."""
+
+PAPER_REQUESTS = 22
+"""Requests of VOI-Control on it (paper, Section "Request-Control Dynamics")."""
+
 PRE_RISK_M, POST_RISK_M = 6.0, 3.0
-PAPER_REQUESTS, PAPER_SLOTS = 22, 593
+"""Local risk before and after a request: "roughly 6 to 9 m down to 2 to 4 m" (paper, Section "View-Rate Selection")."""
+
 PAPER_UPLOAD_SHARE = (0.005, 0.057, 0.140)
-"""Corridor, intersection, repetitive."""
+"""Share of slots with an upload: corridor, intersection, repetitive (paper, Section "View-Rate Selection")."""
 
 
 def drift_from_paper(context_share: np.ndarray) -> np.ndarray:

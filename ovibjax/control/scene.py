@@ -10,7 +10,7 @@ from ovibjax.control.drives import join_drives
 from ovibjax.control.environment import Route
 from ovibjax.control.predictor import fit_predictor
 from ovibjax.control.residuals import residuals_m
-from ovibjax.encoder.checkpoint import CheckpointConfig, train_checkpoint
+from ovibjax.encoder.checkpoint import CHECKPOINT, CheckpointConfig, train_checkpoint
 from ovibjax.features.frames import FeatureSet
 
 
@@ -35,7 +35,7 @@ class Scene:
     actions: ActionSet
 
 
-def make_scene(sets: list[FeatureSet], training: int, checkpoint: CheckpointConfig) -> Scene:
+def make_scene(sets: list[FeatureSet], training: int, checkpoint: CheckpointConfig = CHECKPOINT) -> Scene:
     """Train the checkpoint, retrieve, fit the predictor, and cut the routes.
 
     Args:

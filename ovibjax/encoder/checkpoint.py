@@ -46,6 +46,10 @@ class CheckpointConfig:
     last_hidden: int = 128
 
 
+CHECKPOINT = CheckpointConfig()
+"""The checkpoint of the request-control study."""
+
+
 class Checkpoint(NamedTuple):
     """A trained encoder with the basis of its input.
 

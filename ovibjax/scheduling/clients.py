@@ -55,7 +55,7 @@ class Workload(NamedTuple):
 
 
 def default_trace_params() -> TraceParams:
-    """Defaults: phases over 0.7 s, urgency 0.5 to 1.5, deadlines 100 to 400 ms, 30.3 ms encoding, no fading."""
+    """Default trace: phases over 0.7 s, urgency 0.5 to 1.5, deadlines 100 to 400 ms, 30.3 ms encoding, no fading."""
     return TraceParams(
         phase_spread_s=jnp.float32(0.7),
         urgency_low=jnp.float32(0.5),

@@ -12,9 +12,18 @@ import jax.numpy as jnp
 
 from ovibjax.scheduling.requests import Requests
 
+PAPER_V = 8.0
+"""Weight of the VOI against the backlog in Base-DPP (paper, Section "Multi-Client Scheduling")."""
+
+PAPER_WEIGHTS = (3.2, 1.2, 1.2, 1.4, 0.6, 0.1)
+"""(w_v, w_r, w_l, w_a, w_o, w_s) of VOI-Lyapunov (paper, after eq. "voi_scheduler_impl")."""
+
+PAPER_VALUE = (0.1, 1.8, 0.22, 0.006)
+"""Floor, and coefficients of drift, risk and latency (paper, eq. "scheduler_value")."""
+
 
 class ValueCoefficients(NamedTuple):
-    """Numbers of eq. scheduler_value, which turn drift, risk and latency into metres of VOI.
+    """Numbers of eq. "scheduler_value", which turn drift, risk and latency into metres of VOI.
 
     Attributes:
         floor: least scheduling value.
@@ -30,7 +39,7 @@ class ValueCoefficients(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Weights (w_v, w_r, w_l, w_a, w_o, w_s) of eq. voi_scheduler_impl.
+    """Weights (w_v, w_r, w_l, w_a, w_o, w_s) of eq. "voi_scheduler_impl".
 
     Attributes:
         value_per_service: value over estimated service time.
@@ -86,12 +95,10 @@ Rule = Callable[[Queue, SchedulerParams], jax.Array]
 
 def default_params() -> SchedulerParams:
     """The paper's numbers: V = 8, weights (3.2, 1.2, 1.2, 1.4, 0.6, 0.1), value (0.1, 1.8, 0.22, 0.006)."""
-    weights = (3.2, 1.2, 1.2, 1.4, 0.6, 0.1)
-    coefficients = (0.1, 1.8, 0.22, 0.006)
     return SchedulerParams(
-        V=jnp.float32(8.0),
-        weights=Weights(*map(jnp.float32, weights)),
-        value=ValueCoefficients(*map(jnp.float32, coefficients)),
+        V=jnp.float32(PAPER_V),
+        weights=Weights(*map(jnp.float32, PAPER_WEIGHTS)),
+        value=ValueCoefficients(*map(jnp.float32, PAPER_VALUE)),
     )
 
 
@@ -103,7 +110,7 @@ def scheduling_value(
     urgency: jax.Array,
     coefficients: ValueCoefficients,
 ) -> jax.Array:
-    """Mission-weighted scheduling value of requests (paper, eq. scheduler_value).
+    """Mission-weighted scheduling value of requests (paper, eq. "scheduler_value").
 
     Args:
         voi_m: [...] predicted net VOI.
@@ -122,7 +129,7 @@ def scheduling_value(
 
 
 def timing(age: jax.Array, slack: jax.Array, per_deadline: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Laxity, normalized age and normalized overrun of waiting requests (paper, after eq. voi_scheduler_impl).
+    """Laxity, normalized age and normalized overrun of waiting requests (paper, after eq. "voi_scheduler_impl").
 
     Args:
         age: [...] time since arrival; NaN stays NaN.
@@ -159,7 +166,7 @@ def term_scales(low: Sequence[jax.Array], high: Sequence[jax.Array], weights: We
 
 
 def weighted_sum(terms: Sequence[jax.Array], scales: Sequence[jax.Array]) -> jax.Array:
-    """Score of eq. voi_scheduler_impl up to a constant that all waiting requests share.
+    """Score of eq. "voi_scheduler_impl" up to a constant that all waiting requests share.
 
     Min-max normalization subtracts the least value of each term; the differences between scores do not need it.
     """
@@ -199,12 +206,12 @@ def maxweight(queue: Queue, params: SchedulerParams) -> jax.Array:
 
 
 def base_dpp(queue: Queue, params: SchedulerParams) -> jax.Array:
-    """Head-of-line requests by Q + V nu (paper, eq. voi_scheduler for one request); arguments as in `fifo`."""
+    """Head-of-line requests by Q + V nu (paper, eq. "voi_scheduler" for one request); arguments as in `fifo`."""
     return _among(queue.head, queue.backlog + params.V * queue.requests.voi_m)
 
 
 def voi_lyapunov(queue: Queue, params: SchedulerParams) -> jax.Array:
-    """The shaped rule over all waiting requests (paper, eq. voi_scheduler_impl); arguments as in `fifo`."""
+    """The shaped rule over all waiting requests (paper, eq. "voi_scheduler_impl"); arguments as in `fifo`."""
     r = queue.requests
     value = scheduling_value(r.voi_m, r.drift_m_per_s, r.risk_m, r.delay_est_ms, r.urgency, params.value)
     age = (queue.clock - r.ready).astype(jnp.float32)

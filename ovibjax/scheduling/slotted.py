@@ -1,4 +1,4 @@
-"""The exact slotted optimizer (paper, Section "VOI-Weighted Edge Scheduling", equations voi_scheduler and queue).
+"""Which clients to serve in a slot: the exact optimizer (paper, eqs. "voi_scheduler" and "queue").
 
 A slot has few clients, so all 2^N subsets are compared. Their sums are those of two halves of the clients, added as
 rows and columns of a table: what a lane keeps alive under `vmap` is little more than one vector of 2^N numbers.
@@ -21,7 +21,7 @@ def solve(
     payload_budget: ArrayLike,
     service_budget: ArrayLike,
 ) -> jax.Array:
-    """Clients that eq. voi_scheduler serves in one slot: the largest sum of Q + V nu within both budgets.
+    """Clients that eq. "voi_scheduler" serves in one slot: the largest sum of Q + V nu within both budgets.
 
     Args:
         backlog: [N] pending requests Q; only clients with at least one (the set R_t) are eligible.
@@ -90,7 +90,7 @@ def best_subset(
 
 
 def update_queue(backlog: ArrayLike, x: ArrayLike, arrivals: ArrayLike) -> jax.Array:
-    """Queues at the next slot, [Q - x]^+ + A (paper, eq. queue).
+    """Queues at the next slot, [Q - x]^+ + A (paper, eq. "queue").
 
     Args:
         backlog: [...] pending requests, integers or floats.

@@ -63,7 +63,7 @@ class Trace(NamedTuple):
 
 
 def simulate(key: jax.Array, V: ArrayLike, case: Case, system: SlottedSystem, horizon: Horizon) -> Trace:
-    """Run eq. voi_scheduler, solved exactly in every slot, and the queues of eq. queue.
+    """Run eq. "voi_scheduler", solved exactly in every slot, and the queues of eq. "queue".
 
     The gap is not a difference of two large noisy numbers. With prices theta and m(w) the largest sum of
     x (nu + theta) in state w, duality gives the benchmark as E[m(w)] - theta E[A], and x - A is the service of empty

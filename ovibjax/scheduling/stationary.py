@@ -1,4 +1,4 @@
-"""Stationary randomized policies, the benchmark of the scheduler's theorem (paper, Theorem voi_scheduler).
+"""Stationary randomized policies, the benchmark of the scheduler's theorem (paper, Theorem "voi_scheduler").
 
 Request attributes are independent across slots: each slot draws one of S equally likely joint states. Then the best
 stationary randomized policy is a linear program over pairs of a state and a subset that fits.
@@ -164,7 +164,7 @@ def least_growth(system: SlottedSystem, rate: npt.ArrayLike) -> float:
 
 
 def drift_constant(system: SlottedSystem, rate: npt.ArrayLike) -> float:
-    """C_0 of eq. drift, explicitly: half the expected sum of A^2 + x^2, with as many served as fit.
+    """C_0 of eq. "drift", explicitly: half the expected sum of A^2 + x^2, with as many served as fit.
 
     Args:
         system: the system.

@@ -1,7 +1,7 @@
-"""Readings of the scheduler's theorem, and what it promises of each, in numbers (paper, Theorem voi_scheduler).
+"""Readings of the scheduler's theorem, and what it promises of each, in numbers (paper, Theorem "voi_scheduler").
 
 The paper's proof compares, in every slot, with a policy that may choose any client, also one without pending requests,
-and the utility counts its value. Eq. voi_scheduler chooses within R_t, the clients with pending requests, so the
+and the utility counts its value. Eq. "voi_scheduler" chooses within R_t, the clients with pending requests, so the
 comparison lacks the values of the others: stability and an O(V) backlog survive this, the utility bound does not in
 general. It does again if no value is positive, because then nothing is gained by an empty queue.
 """
@@ -27,9 +27,9 @@ class Setting:
 
     Attributes:
         reading: `proof`, empty queues may be chosen and count, and the benchmark serves each client at least at its
-            arrival rate; `pending`, eq. voi_scheduler with R_t, and the benchmark serves exactly at the arrival rates,
-            the most that any stabilizing policy can have which serves pending requests only; `shifted`, as `pending`,
-            but the optimizer sees each value less the client's largest.
+            arrival rate; `pending`, eq. "voi_scheduler" with R_t, and the benchmark serves exactly at the arrival
+            rates, the most that any stabilizing policy can have which serves pending requests only; `shifted`, as
+            `pending`, but the optimizer sees each value less the client's largest.
         load: arrival rates as a share of the largest that can be served.
     """
 
@@ -98,7 +98,7 @@ def make_case(
 
 
 def empty_case(rate: npt.NDArray[np.float64]) -> Case:
-    """Eq. voi_scheduler with R_t from empty queues, without a benchmark.
+    """Eq. "voi_scheduler" with R_t from empty queues, without a benchmark.
 
     Args:
         rate: [N] arrival rates.
