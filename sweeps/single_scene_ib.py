@@ -7,11 +7,11 @@ from ovibjax.cards.fixed_rate_drawing import draw
 from ovibjax.cards.fixed_rate_study import FixedRateStudy, K, table_rows, time_encoders, train_fusion, train_grid
 from ovibjax.cards.job import Job
 from ovibjax.encoder.data_split import member_data
+from ovibjax.encoder.loss import BETA, GAMMA
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
 
 TITLE = "Fixed-rate O-VIB of the conference version"
-BETA, GAMMA = 1e-3, 0.1
 
 
 @dataclass(frozen=True)

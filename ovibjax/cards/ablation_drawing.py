@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.cards.ablation_study import GAMMA, Ablation, named
+from ovibjax.cards.ablation_study import Ablation, named
+from ovibjax.encoder.loss import GAMMA
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import interval
 from ovibjax.report.panels import Bar, bars, category_axis, paper_tick, sheet, star

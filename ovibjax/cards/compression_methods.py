@@ -16,7 +16,7 @@ import numpy as np
 
 from ovibjax.edge.judging import Judged, Trained, judge_prefixes, judge_raw
 from ovibjax.encoder.data_split import MemberData
-from ovibjax.encoder.loss import Hypers, make_hypers
+from ovibjax.encoder.loss import GAMMA, Hypers, make_hypers
 from ovibjax.encoder.model import Architecture, Params
 from ovibjax.encoder.pca import fit_pca
 from ovibjax.encoder.train import TrainConfig, fit, fixed_rate
@@ -98,7 +98,7 @@ def train_config(method: str, data: MemberData, effort: Effort) -> TrainConfig:
 
 def hypers_of(method: str, effort: Effort) -> Hypers:
     """The paper's weights; plain VIB has no orthogonality penalty."""
-    return make_hypers(gamma=0.0 if method == "vib" else 0.1, lr=effort.lr)
+    return make_hypers(gamma=0.0 if method == "vib" else GAMMA, lr=effort.lr)
 
 
 def run_method(method: str, seed: int, data: MemberData, effort: Effort) -> Outcome:

@@ -14,7 +14,7 @@ from ovibjax.edge.member import DIMS, UNITS, FuseAndLocate, TrainAndJudge
 from ovibjax.encoder.attention import AttentionConfig, init_attention, predict
 from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.model import Architecture, encode, init
-from ovibjax.encoder.train import TrainConfig
+from ovibjax.encoder.train import TrainConfig, fixed_rate
 from ovibjax.link.latency import compute_ms_at, measure_host
 from ovibjax.sweep.work import Along
 from ovibjax.views import full_mode
@@ -70,13 +70,8 @@ def train_grid(
         Errors and active dimensions, [point, seed].
     """
     views, dim = members[0].train.x.shape[1:]
-    static = TrainConfig(
-        arch=Architecture(n_views=views, view_dim=dim, latent=K),
-        prefixes=(K,),
-        prior="ard",
-        steps=steps,
-        precision="bfloat16",
-    )
+    arch = Architecture(n_views=views, view_dim=dim)
+    static = fixed_rate(TrainConfig(arch, steps=steps, precision="bfloat16"), K)
     beta, gamma = zip(*points, strict=True)
     dataset = sweep(
         "training fixed-rate models",

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ovibjax.cards.synthetic_database import SCENE_FRAMES, recombine
 from ovibjax.edge import index as index_module
 from ovibjax.edge import retrieval, tile_search
 from ovibjax.edge.pruning import Asked, judge_pruning
-from ovibjax.edge.retrieval import build_index, coarse_to_fine, search
+from ovibjax.edge.retrieval import build_index, coarse_to_fine, retrieve, search
 from ovibjax.errors import InputError
 from ovibjax.world.town.feature_set import town_features
 from ovibjax.world.town.layout import TownConfig
@@ -264,13 +263,11 @@ def test_bad_input_is_one_line():
         search(db, index, 0, 3)
 
 
-def test_recombined_scenes_are_real_views_and_queries_are_no_references():
-    rng = np.random.default_rng(0)
-    drives = [np.cumsum(rng.normal(size=(120, 3, 8)), axis=0).astype(np.float32) for _ in range(3)]
-    places = [np.cumsum(rng.normal(size=(120, 2)), axis=0).astype(np.float32) for _ in range(3)]
-    made = recombine(4, drives, places, SCENE_FRAMES + 100, 30)
-    assert made.reference.shape == (SCENE_FRAMES + 100, 8) and made.query.shape == (30, 8)
-    assert set(made.scene) == {0, 1} and set(made.query_scene) <= {0, 1}
-    assert np.abs(made.query[:, None] - made.reference[None]).max(axis=-1).min() > 0
-    again = recombine(4, drives, places, SCENE_FRAMES + 100, 30)
-    np.testing.assert_array_equal(made.reference, again.reference)
+def test_retrieve_searches_an_array_exhaustively_and_an_index_from_coarse_to_fine(case):
+    query, db, _, _, index = case
+    for database in (db, jnp.asarray(db)):
+        np.testing.assert_array_equal(retrieve(query, database), brute_force(query, db))
+    np.testing.assert_array_equal(retrieve(query, index), coarse_to_fine(query, index))
+    few = np.asarray(retrieve(query, index, scenes=1, tiles=2))
+    np.testing.assert_array_equal(few, coarse_to_fine(query, index, 1, 2))
+    assert np.any(few != np.asarray(retrieve(query, db)))

@@ -11,7 +11,6 @@ from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture, decode, encode, init, locate
 from ovibjax.encoder.pca import fit_pca, pca_reconstruct
 from ovibjax.features.frames import make_feature_set
-from ovibjax.features.splits import split_indices
 from ovibjax.views import mode_mask
 
 ARCH = Architecture(n_views=4, view_dim=6, latent=8, hidden=16, last_hidden=12, head=8)
@@ -98,16 +97,6 @@ def test_test_frames_do_not_choose_the_mixing_weight(params, member) -> None:
     np.testing.assert_array_equal(one.val_error_m, other.val_error_m)
 
 
-def test_pca_is_numpys() -> None:
-    x = np.random.default_rng(0).normal(size=(60, 12)).astype(np.float32) * np.linspace(3, 0.3, 12, dtype=np.float32)
-    pca = fit_pca(jnp.asarray(x), 10)
-    assert pca.components.shape == (12, 10)
-    _, _, vt = np.linalg.svd(x.astype(np.float64), full_matrices=False)
-    for k in (1, 4, 10):
-        prefix = jnp.asarray((np.arange(16) < k).astype(np.float32))
-        np.testing.assert_allclose(pca_reconstruct(pca, jnp.asarray(x), prefix), x @ vt[:k].T @ vt[:k], atol=2e-4)
-
-
 def test_one_standard_error_rule() -> None:
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 1, 400)
@@ -115,22 +104,3 @@ def test_one_standard_error_rule() -> None:
     means = np.array([9.0, 5.06, 5.04, 5.0, 5.01])
     errors = jnp.asarray(means[:, None] + noise[None], jnp.float32)
     assert int(one_standard_error_choice(errors, jnp.array([2, 4, 8, 16, 32]))) == 8
-
-
-def test_nothing_is_fitted_on_held_out_frames(feature_set) -> None:
-    split = split_indices(260, 1)
-    held_out = np.concatenate([split.val, split.test])
-    features, positions = feature_set.features.copy(), feature_set.positions_m.copy()
-    features[held_out] = features[held_out][:, :, ::-1]
-    positions[held_out] += 1000
-    changed = feature_set._replace(features=features, positions_m=positions)
-    (one, basis_one), (other, basis_other) = member_data(feature_set, 1, 6), member_data(changed, 1, 6)
-    for a, b in zip(
-        jax.tree.leaves((one.train, one.train_m, one.standardizer, basis_one)),
-        jax.tree.leaves((other.train, other.train_m, other.standardizer, basis_other)),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(a, b)
-    assert not np.array_equal(one.test_x, other.test_x)
-    np.testing.assert_allclose(np.asarray(one.train.x).var(), 1.0, rtol=1e-3)
-    np.testing.assert_allclose(np.asarray(one.train.y)[:, :2].var(axis=0).mean(), 1.0, rtol=1e-3)

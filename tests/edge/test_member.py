@@ -5,31 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ovibjax import sweep
-from ovibjax.cards.ablation_study import GAMMA, ablate, named, table_rows
 from ovibjax.edge.judging import Trained, judge_prefixes
-from ovibjax.edge.member import DIMS, ORDERINGS, FuseAndLocate, JudgeOrdering, TrainAndJudge
+from ovibjax.edge.member import ORDERINGS, FuseAndLocate, JudgeOrdering, TrainAndJudge
 from ovibjax.encoder.attention import AttentionConfig
-from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.loss import make_hypers
-from ovibjax.encoder.model import Architecture, encode
+from ovibjax.encoder.model import encode
 from ovibjax.encoder.rate import active_dims
-from ovibjax.encoder.train import TrainConfig, fit
-from ovibjax.features.frames import make_feature_set
+from ovibjax.encoder.train import fit
 from ovibjax.views import mode_mask
-
-ARCH = Architecture(view_dim=6, latent=8, hidden=16, last_hidden=12, head=8)
-STATIC = TrainConfig(arch=ARCH, prefixes=(2, 4, 8), steps=20, batch=32)
-KS = (2, 5, 8)
+from tests.edge.cases import ARCH, KS, STATIC, two_members
 
 
 @pytest.fixture(scope="module")
 def members():
-    rng = np.random.default_rng(0)
-    position = rng.uniform(-50, 50, (240, 3)).astype(np.float32)
-    features = np.tanh(position @ rng.normal(size=(3, 60)) / 30).reshape(240, 5, 12)
-    feature_set = make_feature_set(features, position)
-    return [member_data(feature_set, seed, 6)[0] for seed in (0, 1)]
+    return two_members()
 
 
 def test_train_and_judge_is_fit_then_judge(members):
@@ -81,28 +70,3 @@ def test_fusion_baseline_is_judged_in_metres(members):
     truth, train = np.asarray(members[0].test_m), np.asarray(members[0].train_m)
     guess = np.linalg.norm(truth - train.mean(0), axis=1).mean()
     assert 0.5 < float(found["test_mean_m"]) < guess
-
-
-@pytest.mark.long
-def test_ablation_trains_what_it_names(members):
-    def run(description, fn, axes, shared, **options):
-        return sweep.run(fn, axes, shared, **options)
-
-    found = ablate(run, STATIC, 3e-3, (GAMMA, 1.0), KS, members, [0, 1])
-    trained = found.trained
-    assert list(trained.variant.values) == ["no_orthogonality", "gamma_0.1", "gamma_1", "no_rate", "no_nesting"]
-    assert trained.beta.sel(variant="no_rate") == 0 and trained.nesting.sel(variant="no_nesting") == 0
-    # Without nesting the model is the one trained with every prefix of full length.
-    static = TrainConfig(**{**STATIC.__dict__, "prefixes": (8,)})
-    judge = TrainAndJudge(static, KS, ("A5",), lr=3e-3)
-    alone = jax.jit(judge)(jax.random.key(0), {"beta": jnp.float32(1e-3), "gamma": jnp.float32(GAMMA)}, members[0])
-    ours = trained.test_mean_m.sel(variant="no_nesting", seed=0)
-    np.testing.assert_allclose(ours, alone["test_mean_m"][0], rtol=0.02)
-    np.testing.assert_allclose(
-        found.orders.sel(ordering="learned").values, trained.test_mean_m.sel(variant=named(GAMMA)).values, rtol=1e-3
-    )
-    assert found.pca.shape == (2, 3) and set(found.spectra) == {0.0, 0.1, 1.0}
-    rows = table_rows(found)
-    assert len(rows) == 5 * 2 * 3 + 2 * 3 * len(ORDERINGS)
-    assert len({tuple(row[name] for name in ("variant", "ordering", "seed", "k")) for row in rows}) == len(rows)
-    assert set(DIMS) <= set(trained.data_vars)

@@ -1,0 +1,40 @@
+"""The encoder ablation: what it trains is what it names."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ovibjax import sweep
+from ovibjax.cards.ablation_study import ablate, named, table_rows
+from ovibjax.edge.member import DIMS, ORDERINGS, TrainAndJudge
+from ovibjax.encoder.loss import GAMMA
+from ovibjax.encoder.train import TrainConfig
+from tests.edge.cases import KS, STATIC, two_members
+
+
+@pytest.mark.long
+def test_ablation_trains_what_it_names():
+    members = two_members()
+
+    def run(description, fn, axes, shared, **options):
+        return sweep.run(fn, axes, shared, **options)
+
+    found = ablate(run, STATIC, 3e-3, (GAMMA, 1.0), KS, members, [0, 1])
+    trained = found.trained
+    assert list(trained.variant.values) == ["no_orthogonality", "gamma_0.1", "gamma_1", "no_rate", "no_nesting"]
+    assert trained.beta.sel(variant="no_rate") == 0 and trained.nesting.sel(variant="no_nesting") == 0
+    # Without nesting the model is the one trained with every prefix of full length.
+    static = TrainConfig(**{**STATIC.__dict__, "prefixes": (8,)})
+    judge = TrainAndJudge(static, KS, ("A5",), lr=3e-3)
+    alone = jax.jit(judge)(jax.random.key(0), {"beta": jnp.float32(1e-3), "gamma": jnp.float32(GAMMA)}, members[0])
+    ours = trained.test_mean_m.sel(variant="no_nesting", seed=0)
+    np.testing.assert_allclose(ours, alone["test_mean_m"][0], rtol=0.02)
+    np.testing.assert_allclose(
+        found.orders.sel(ordering="learned").values, trained.test_mean_m.sel(variant=named(GAMMA)).values, rtol=1e-3
+    )
+    assert found.pca.shape == (2, 3) and set(found.spectra) == {0.0, 0.1, 1.0}
+    rows = table_rows(found)
+    assert len(rows) == 5 * 2 * 3 + 2 * 3 * len(ORDERINGS)
+    assert len({tuple(row[name] for name in ("variant", "ordering", "seed", "k")) for row in rows}) == len(rows)
+    assert set(DIMS) <= set(trained.data_vars)
