@@ -18,7 +18,7 @@ from ovibjax.report.provenance import provenance
 from ovibjax.runtime.cache import cache_folder
 from ovibjax.runtime.progress import progress_bar
 from ovibjax.sweep.engine import Interrupted, run
-from ovibjax.sweep.layout import digest
+from ovibjax.sweep.schema import digest
 from ovibjax.sweep.store import attach
 
 PRESETS = ("smoke", "quick", "full")

@@ -24,8 +24,8 @@ import numpy as np
 from ovibjax.errors import InputError, one_line
 from ovibjax.sweep.engine import Executor
 from ovibjax.sweep.grid import PADDING
-from ovibjax.sweep.layout import Layout, digest
 from ovibjax.sweep.pickling import by_value
+from ovibjax.sweep.schema import Schema, digest
 from ovibjax.sweep.store import attach
 from ovibjax.sweep.work import Block, Work
 from ovibjax.sweep.worker import Assignment, compute_chunk
@@ -120,14 +120,14 @@ def _compute(
                     if not finished and deaths.total() >= _HOPELESS:
                         raise InputError(
                             f"{_HOPELESS} workers died and not one chunk was finished; {_CAUSE}, e.g. for "
-                            f"{_members(work.layout, i)}"
+                            f"{_members(work.schema, i)}"
                         ) from None
                     continue
                 finished = True
                 yield i, block
         deadly = [i for i, count in deaths.items() if count >= _ATTEMPTS]
         if deadly:
-            named = "; ".join(_members(work.layout, i) for i in deadly[:3]) + "; ..." * (len(deadly) > 3)
+            named = "; ".join(_members(work.schema, i) for i in deadly[:3]) + "; ..." * (len(deadly) > 3)
             raise InputError(
                 f"{len(deadly)} of {len(pending)} chunks killed their worker {_ATTEMPTS} times each: {named}; "
                 f"{_CAUSE}; the other chunks are {'finished' if path is None else 'kept'}"
@@ -211,9 +211,9 @@ def _resources(work: Work) -> dict[str, Any]:
     return {"runtime_env": {"env_vars": variables}}
 
 
-def _members(layout: Layout, chunk: int) -> str:
+def _members(schema: Schema, chunk: int) -> str:
     """Grid values of a chunk's members."""
-    grid, members = layout.grid, layout.chunks.members[chunk]
+    grid, members = schema.grid, schema.chunks.members[chunk]
     index = np.unravel_index(members[members != PADDING], grid.shape)
     named = []
     for name, axis in grid.axes.items():

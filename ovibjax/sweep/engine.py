@@ -16,10 +16,10 @@ from ovibjax.errors import InputError
 from ovibjax.runtime.threads import in_threads
 from ovibjax.sweep.grid import PADDING, Axis, Grid, make_chunks, make_grid
 from ovibjax.sweep.in_memory import InMemory
-from ovibjax.sweep.layout import Layout, Variable, check
 from ovibjax.sweep.program import SEED, MemberFn, Shape, choose_shape, trace_member
+from ovibjax.sweep.schema import Schema, Variable, check
 from ovibjax.sweep.store import Store, config_of
-from ovibjax.sweep.work import Along, Block, Work, describe
+from ovibjax.sweep.work import Along, Block, Work, configuration
 
 Executor = Callable[[Work, Sequence[int], Path | None], Iterator[tuple[int, Block | None]]]
 """Computes chunks elsewhere: yields (chunk, its arrays), or (chunk, None) for one that a worker has stored itself."""
@@ -37,7 +37,7 @@ class Interrupted(KeyboardInterrupt):
         self.dataset = dataset
 
 
-# Many keywords, as each says one thing about a sweep that a caller may leave out; inside they become a layout, a shape
+# Many keywords, as each says one thing about a sweep that a caller may leave out; inside they become a schema, a shape
 # and a configuration at once.
 def run(
     fn: MemberFn,
@@ -93,12 +93,12 @@ def run(
     outputs, cost = trace_member(fn, example, shared.values[0] if isinstance(shared, Along) else shared)
     variables = _variables(outputs, dims or {}, units or {})
     shape = _shape(grid, outer, cost, chunk, lanes, store if isinstance(store, str | Path) else None)
-    layout = Layout(grid, make_chunks(grid, outer, shape.rows, shape.columns), variables, _axes(coords or {}))
-    check(layout)
-    work = Work(fn, layout, shape, shared)
-    config = describe(work, dict(settings or {}))
+    schema = Schema(grid, make_chunks(grid, outer, shape.rows, shape.columns), variables, _axes(coords or {}))
+    check(schema)
+    work = Work(fn, schema, shape, shared)
+    config = configuration(work, dict(settings or {}))
     path = store(config) if callable(store) else store
-    with InMemory(layout, config) if path is None else Store.open(path, layout, config) as kept:
+    with InMemory(schema, config) if path is None else Store.open(path, schema, config) as kept:
         complete = _finish(work, kept, executor or _in_process, on_progress or (lambda done, total: None))
         dataset = kept.dataset()
     if not complete:
@@ -158,14 +158,14 @@ def _axes(coords: Mapping[str, Any]) -> dict[str, Axis]:
 def _finish(work: Work, kept: Store | InMemory, compute: Executor, on_progress: Callable[[int, int], None]) -> bool:
     """Compute and keep the chunks that are not finished; False if Ctrl-C came before the last."""
     done = kept.finished()
-    real = (work.layout.chunks.members != PADDING).sum(axis=(1, 2))
+    real = (work.schema.chunks.members != PADDING).sum(axis=(1, 2))
     try:
-        on_progress(int(real[done].sum()), work.layout.grid.size)
+        on_progress(int(real[done].sum()), work.schema.grid.size)
         for i, block in compute(work, np.flatnonzero(~done).tolist(), kept.path):
             if block is not None:
                 kept.write(i, block.arrays, block.diverged)
             done[i] = True
-            on_progress(int(real[done].sum()), work.layout.grid.size)
+            on_progress(int(real[done].sum()), work.schema.grid.size)
     except KeyboardInterrupt:
         return False
     return True

@@ -5,7 +5,7 @@ from typing import Any, Self
 import numpy as np
 import xarray
 
-from ovibjax.sweep.layout import Layout, Variable, assemble
+from ovibjax.sweep.schema import Schema, Variable, assemble
 from ovibjax.sweep.work import Block
 
 
@@ -14,19 +14,19 @@ class InMemory:
 
     Attributes:
         path: None, as there is no directory.
-        layout: what it holds.
+        schema: what it holds.
         config: what the sweep was started with.
     """
 
     path = None
 
-    def __init__(self, layout: Layout, config: dict[str, Any]) -> None:
-        self.layout, self.config = layout, config
+    def __init__(self, schema: Schema, config: dict[str, Any]) -> None:
+        self.schema, self.config = schema, config
         self._blocks: dict[int, Block] = {}
 
     def finished(self) -> np.ndarray:
         """[chunks] bool, which are complete."""
-        done = np.zeros(len(self.layout.chunks.members), bool)
+        done = np.zeros(len(self.schema.chunks.members), bool)
         done[list(self._blocks)] = True
         return done
 
@@ -35,16 +35,16 @@ class InMemory:
         self._blocks[chunk] = Block(arrays, diverged)
 
     def dataset(self) -> xarray.Dataset:
-        """All finished members; see `layout.assemble`."""
+        """All finished members; see `schema.assemble`."""
         order = sorted(self._blocks)
-        return assemble(self.layout, order, lambda name: self._read(name, order), self.config)
+        return assemble(self.schema, order, lambda name: self._read(name, order), self.config)
 
     def _read(self, name: str, chunks: list[int]) -> np.ndarray:
         """[chunks, rows * columns, ...] of a variable, or of `diverged`."""
         blocks = [self._blocks[i] for i in chunks]
         parts = [block.diverged if name == "diverged" else block.arrays[name] for block in blocks]
-        variable = self.layout.variables.get(name, Variable((), np.dtype(bool), ()))
-        size = self.layout.chunks.members[0].size
+        variable = self.schema.variables.get(name, Variable((), np.dtype(bool), ()))
+        size = self.schema.chunks.members[0].size
         if not parts:
             return np.empty((0, size, *variable.shape), variable.dtype)
         return np.stack(parts).reshape(len(parts), size, *variable.shape)

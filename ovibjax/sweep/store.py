@@ -21,7 +21,7 @@ import zarr
 
 from ovibjax.errors import InputError, one_line
 from ovibjax.sweep.disk import take_lock, writing
-from ovibjax.sweep.layout import Layout, assemble, check, describe, differences
+from ovibjax.sweep.schema import Schema, assemble, check, description, differences
 from ovibjax.sweep.store_format import create, open_arrays
 
 
@@ -30,22 +30,22 @@ class Store:
 
     Attributes:
         path: the directory.
-        layout: what it holds.
+        schema: what it holds.
         config: what the sweep was started with, as JSON gives it back.
     """
 
-    def __init__(self, path: Path, layout: Layout, config: dict[str, Any], arrays: dict[str, zarr.Array]):
-        self.path, self.layout, self.config = path, layout, config
+    def __init__(self, path: Path, schema: Schema, config: dict[str, Any], arrays: dict[str, zarr.Array]):
+        self.path, self.schema, self.config = path, schema, config
         self._arrays = arrays
         self._lock: IO[str] | None = None
 
     @classmethod
-    def open(cls, path: str | Path, layout: Layout, config: dict[str, Any], lock: bool = True) -> "Store":
+    def open(cls, path: str | Path, schema: Schema, config: dict[str, Any], lock: bool = True) -> "Store":
         """Create a store, or resume it if it is there and holds the same sweep.
 
         Args:
             path: the directory; parents are made.
-            layout: what it holds.
+            schema: what it holds.
             config: what identifies the sweep, made of JSON's types.
             lock: keep other processes out; False where the caller knows that there are none.
 
@@ -53,24 +53,24 @@ class Store:
             The open store.
 
         Raises:
-            InputError: names in the layout clash, the path holds something else or another sweep, another process
+            InputError: names in the schema clash, the path holds something else or another sweep, another process
                 works on it, or it cannot be written.
         """
         path = Path(path)
-        check(layout)
+        check(schema)
         config = json.loads(json.dumps(config))
         # Links are followed: two names of one store are one lock.
         real = Path(os.path.realpath(path))
         if real.exists():
             open_arrays(path)  # so that no lock file is left beside something that is no store
-        with writing(path, len(layout.chunks.members)):
+        with writing(path, len(schema.chunks.members)):
             real.parent.mkdir(parents=True, exist_ok=True)
             handle = take_lock(path, real) if lock else None
             try:
                 if not real.exists():
-                    create(real, layout, config)
+                    create(real, schema, config)
                 store = attach(path)
-                _refuse_other(store, layout, config)
+                _refuse_other(store, schema, config)
                 for partial in real.glob("*/*.partial"):  # what a killed process was writing
                     partial.unlink(missing_ok=True)
             except BaseException:
@@ -89,7 +89,7 @@ class Store:
         Raises:
             InputError: a marker is damaged.
         """
-        done = np.zeros(len(self.layout.chunks.members), bool)
+        done = np.zeros(len(self.schema.chunks.members), bool)
         written = [chunk for chunk in range(len(done)) if self._file("finished", chunk).is_file()]
         done[written] = self._read("finished", written)[:, 0]
         return done
@@ -104,11 +104,11 @@ class Store:
 
         Raises:
             InputError: the disk refuses; the chunk is then not finished.
-            ValueError: names, shapes, types or the chunk do not fit the layout.
+            ValueError: names, shapes, types or the chunk do not fit the schema.
         """
-        count, rows, columns = self.layout.chunks.members.shape
-        if arrays.keys() != self.layout.variables.keys() or not 0 <= chunk < count:
-            raise ValueError(f"chunk {chunk} of {count} with {sorted(arrays)}, not {sorted(self.layout.variables)}")
+        count, rows, columns = self.schema.chunks.members.shape
+        if arrays.keys() != self.schema.variables.keys() or not 0 <= chunk < count:
+            raise ValueError(f"chunk {chunk} of {count} with {sorted(arrays)}, not {sorted(self.schema.variables)}")
         blocks = {}
         for name, given in {**arrays, "diverged": diverged}.items():
             block, array = np.asarray(given), self._arrays[name]
@@ -125,13 +125,13 @@ class Store:
         """Read all finished members.
 
         Returns:
-            See `layout.assemble`.
+            See `schema.assemble`.
 
         Raises:
             InputError: a file is damaged.
         """
         done = np.flatnonzero(self.finished()).tolist()
-        return assemble(self.layout, done, lambda name: self._read(name, done), self.config)
+        return assemble(self.schema, done, lambda name: self._read(name, done), self.config)
 
     def close(self) -> None:
         """Let other processes in."""
@@ -191,7 +191,7 @@ def open_dataset(path: str | Path) -> xarray.Dataset:
         path: the directory.
 
     Returns:
-        See `layout.assemble`.
+        See `schema.assemble`.
 
     Raises:
         InputError: there is no store, or it is damaged.
@@ -214,8 +214,8 @@ def config_of(path: str | Path) -> dict[str, Any] | None:
     return attach(path).config if Path(os.path.realpath(path)).exists() else None
 
 
-def _refuse_other(store: Store, layout: Layout, config: dict[str, Any]) -> None:
-    found = list(differences(store.config, config)) or list(differences(describe(store.layout), describe(layout)))
+def _refuse_other(store: Store, schema: Schema, config: dict[str, Any]) -> None:
+    found = list(differences(store.config, config)) or list(differences(description(store.schema), description(schema)))
     if found:
         raise InputError(
             f"{store.path} holds another sweep: {'; '.join(found[:3])}; "

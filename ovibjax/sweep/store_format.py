@@ -13,7 +13,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from ovibjax.errors import InputError, one_line
 from ovibjax.sweep.grid import PADDING
-from ovibjax.sweep.layout import Layout, attributes_of, describe, digest, fill_value, restore
+from ovibjax.sweep.schema import Schema, attributes_of, description, digest, fill_value, schema_of
 
 FORMAT = 1
 """Version of the layout on disk."""
@@ -31,11 +31,11 @@ class ArraySpec:
     data: np.ndarray | None = None
 
 
-def array_specs(layout: Layout) -> dict[str, ArraySpec]:
+def array_specs(schema: Schema) -> dict[str, ArraySpec]:
     """All arrays of a store; those with data are written at creation, in one piece."""
-    count, rows, columns = layout.chunks.members.shape
+    count, rows, columns = schema.chunks.members.shape
     size = rows * columns
-    members = layout.chunks.members.reshape(-1).astype(np.int64)
+    members = schema.chunks.members.reshape(-1).astype(np.int64)
     real = members != PADDING
 
     def fixed(data: np.ndarray, dim: str, attributes: dict[str, Any]) -> ArraySpec:
@@ -45,32 +45,32 @@ def array_specs(layout: Layout) -> dict[str, ArraySpec]:
         return ArraySpec((count * size, *shape), (size, *shape), dtype, ("member", *dims), attributes_of(unit))
 
     arrays = {"grid_index": fixed(members, "member", {})}
-    for name, axis in layout.grid.axes.items():
-        codes = layout.grid.points(np.where(real, members, 0), [name])[name]
+    for name, axis in schema.grid.axes.items():
+        codes = schema.grid.points(np.where(real, members, 0), [name])[name]
         arrays[name] = fixed(np.where(real, codes, fill_value(codes.dtype)), "member", attributes_of(axis.unit, axis))
-    for dim, axis in layout.coords.items():
+    for dim, axis in schema.coords.items():
         values = np.asarray(np.asarray(axis.values).tolist())  # float64, as the description has it
         codes = np.arange(len(values), dtype=np.int32) if values.dtype.kind == "U" else values
         arrays[dim] = fixed(codes, dim, attributes_of(axis.unit, axis))
-    for name, v in layout.variables.items():
+    for name, v in schema.variables.items():
         arrays[name] = per_member(v.shape, np.dtype(v.dtype), v.dims, v.unit)
     arrays["diverged"] = per_member((), np.dtype(bool), ())
     arrays["finished"] = ArraySpec((count,), (1,), np.dtype(bool), ("chunk",), {})
     return arrays
 
 
-def create(real: Path, layout: Layout, config: dict[str, Any]) -> None:
+def create(real: Path, schema: Schema, config: dict[str, Any]) -> None:
     """Build a store aside and move it into place."""
     for stale in real.parent.iterdir():
         if re.fullmatch(re.escape(real.name) + r"\.tmp-\d+", stale.name):  # of killed processes, as the lock is ours
             shutil.rmtree(stale, ignore_errors=True)
     temporary = real.with_name(f"{real.name}.tmp-{os.getpid()}")
-    attributes = {"format": FORMAT, "hash": digest(config), "config": config, "layout": describe(layout)}
+    attributes = {"format": FORMAT, "hash": digest(config), "config": config, "layout": description(schema)}
     # xarray takes the names under this attribute as coordinates.
-    attributes["coordinates"] = " ".join(["grid_index", *layout.grid.axes])
+    attributes["coordinates"] = " ".join(["grid_index", *schema.grid.axes])
     try:
         group = zarr.create_group(temporary, zarr_format=3, attributes=attributes)
-        for name, spec in array_specs(layout).items():
+        for name, spec in array_specs(schema).items():
             array = group.create_array(
                 name,
                 shape=spec.shape,
@@ -91,7 +91,7 @@ def create(real: Path, layout: Layout, config: dict[str, Any]) -> None:
         raise
 
 
-def open_arrays(path: Path) -> tuple[Layout, dict[str, Any], dict[str, zarr.Array]]:
+def open_arrays(path: Path) -> tuple[Schema, dict[str, Any], dict[str, zarr.Array]]:
     """Open an existing store and check it against its own description.
 
     Args:
@@ -113,9 +113,9 @@ def open_arrays(path: Path) -> tuple[Layout, dict[str, Any], dict[str, zarr.Arra
         if attributes["hash"] != digest(attributes["config"]):
             raise InputError(f"{path} was edited: its hash does not fit its config; restore it or choose another path")
         index: Any = group["grid_index"]
-        layout = restore(attributes["layout"], index[:])
+        schema = schema_of(attributes["layout"], index[:])
         arrays: dict[str, zarr.Array] = {}
-        for name, spec in array_specs(layout).items():
+        for name, spec in array_specs(schema).items():
             array: Any = group[name]
             fits = (array.shape, array.chunks, array.dtype) == (spec.shape, spec.chunks, spec.dtype)
             if not fits or not (spec.data is None or np.array_equal(array[:], spec.data, spec.dtype.kind == "f")):
@@ -128,4 +128,4 @@ def open_arrays(path: Path) -> tuple[Layout, dict[str, Any], dict[str, zarr.Arra
         raise InputError(
             f"{path} is no store of a sweep, or damaged ({one_line(error)}); choose another path"
         ) from error
-    return layout, attributes["config"], arrays
+    return schema, attributes["config"], arrays

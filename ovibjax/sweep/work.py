@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 from ovibjax.sweep.grid import PADDING
-from ovibjax.sweep.layout import Layout
 from ovibjax.sweep.program import MemberFn, Program, Shape
+from ovibjax.sweep.schema import Schema
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,13 @@ class Work:
 
     Attributes:
         fn: the member function.
-        layout: the grid and its chunks.
+        schema: the grid and its chunks.
         shape: size of a chunk.
         shared: data, or `Along`.
     """
 
     fn: MemberFn
-    layout: Layout
+    schema: Schema
     shape: Shape
     shared: Any
 
@@ -63,7 +63,7 @@ class Work:
 
     def arguments(self, chunk: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Any]:
         """Outer points [rows], inner points [columns] and data of a chunk; padding repeats the first member."""
-        grid, chunks = self.layout.grid, self.layout.chunks
+        grid, chunks = self.schema.grid, self.schema.chunks
         members = chunks.members[chunk]
         rows, columns = members.max(axis=1), members.max(axis=0)
         rows, columns = np.where(rows == PADDING, rows[0], rows), np.where(columns == PADDING, columns[0], columns)
@@ -90,16 +90,16 @@ class Work:
     def compute(self, chunk: int) -> Block:
         """One chunk, on the host."""
         arrays = self.program(*self.arguments(chunk))
-        diverged = np.zeros(self.layout.chunks.members.shape[1:], bool)
+        diverged = np.zeros(self.schema.chunks.members.shape[1:], bool)
         for values in arrays.values():
             if values.dtype.kind == "f":
                 diverged |= ~np.isfinite(values).all(axis=tuple(range(2, values.ndim)))
         return Block(arrays, diverged)
 
 
-def describe(work: Work, settings: dict[str, Any]) -> dict[str, Any]:
+def configuration(work: Work, settings: dict[str, Any]) -> dict[str, Any]:
     """What identifies a sweep: everything that its bits depend on, as JSON."""
-    grid = work.layout.grid
+    grid = work.schema.grid
     fn = work.fn.func if isinstance(work.fn, partial) else work.fn
     named = fn if hasattr(fn, "__qualname__") else type(fn)
     return {

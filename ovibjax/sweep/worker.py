@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from ovibjax.errors import InputError
-from ovibjax.sweep.layout import digest
+from ovibjax.sweep.schema import digest
 from ovibjax.sweep.store import Store, attach
 from ovibjax.sweep.work import Block, Work
 

@@ -1,4 +1,4 @@
-"""A store to test with: its layout, values that tell the member, and processes that write to it."""
+"""A store to test with: its schema, values that tell the member, and processes that write to it."""
 
 import signal
 import subprocess
@@ -10,7 +10,7 @@ import pytest
 
 from ovibjax.errors import InputError
 from ovibjax.sweep.grid import Axis, make_chunks, make_grid
-from ovibjax.sweep.layout import Layout, Variable
+from ovibjax.sweep.schema import Schema, Variable
 from ovibjax.sweep.store import open_dataset
 
 CONFIG = {"model": "vib", "steps": 2000, "axes": {"beta": {"values": [0.001]}}}
@@ -24,16 +24,16 @@ VARIABLES = {
 COORDS = {"prefix": Axis((1, 4), "bytes"), "width": Axis(("x", "y", "z"))}
 
 
-def make_layout(axes=AXES, zipped=(), outer=0, rows=2, columns=4, variables=VARIABLES, coords=COORDS):
+def make_schema(axes=AXES, zipped=(), outer=0, rows=2, columns=4, variables=VARIABLES, coords=COORDS):
     grid = make_grid(axes, zipped)
-    return Layout(grid, make_chunks(grid, outer, rows, columns), variables, coords)
+    return Schema(grid, make_chunks(grid, outer, rows, columns), variables, coords)
 
 
-def block(layout, chunk):
+def block(schema, chunk):
     """Values that tell the member, flat; padding holds something else."""
-    members = layout.chunks.members[chunk].reshape(-1)
+    members = schema.chunks.members[chunk].reshape(-1)
     arrays = {}
-    for name, v in layout.variables.items():
+    for name, v in schema.variables.items():
         values = (members + 1).reshape(-1, *[1] * len(v.shape)) * (1 + np.arange(np.prod(v.shape)).reshape(v.shape))
         arrays[name] = (values % 2 == 1 if v.dtype == bool else values).astype(v.dtype)
     return arrays, members % 3 == 1
@@ -41,25 +41,25 @@ def block(layout, chunk):
 
 def fill(store, chunks):
     for chunk in chunks:
-        store.write(chunk, *block(store.layout, chunk))
+        store.write(chunk, *block(store.schema, chunk))
 
 
-def check(path, layout, chunks):
+def check(path, schema, chunks):
     """Finished members hold their values and the rest is fill."""
     dataset = open_dataset(path)
-    expected = {name: np.zeros((layout.grid.size, *v.shape), v.dtype) for name, v in layout.variables.items()}
-    expected |= {"finished": np.zeros(layout.grid.size, bool), "diverged": np.zeros(layout.grid.size, bool)}
+    expected = {name: np.zeros((schema.grid.size, *v.shape), v.dtype) for name, v in schema.variables.items()}
+    expected |= {"finished": np.zeros(schema.grid.size, bool), "diverged": np.zeros(schema.grid.size, bool)}
     for values in expected.values():
         values[...] = np.nan if values.dtype.kind == "f" else 0
     for chunk in chunks:
-        members = layout.chunks.members[chunk].reshape(-1)
-        arrays, diverged = block(layout, chunk)
+        members = schema.chunks.members[chunk].reshape(-1)
+        arrays, diverged = block(schema, chunk)
         for name, values in {**arrays, "diverged": diverged, "finished": members >= 0}.items():
             expected[name][members[members >= 0]] = values[members >= 0]
     assert set(dataset.data_vars) == set(expected)
     for name, values in expected.items():
         assert dataset[name].dtype == values.dtype
-        assert dataset[name].dims[: len(layout.grid.dims)] == layout.grid.dims
+        assert dataset[name].dims[: len(schema.grid.dims)] == schema.grid.dims
         np.testing.assert_array_equal(dataset[name].values.reshape(values.shape), values, err_msg=name)
     return dataset
 
@@ -80,10 +80,10 @@ WRITER = """
 import sys
 sys.path.insert(0, {root!r})
 from ovibjax.sweep.store import Store
-from tests.sweep.stores import CONFIG, fill, make_layout
+from tests.sweep.stores import CONFIG, fill, make_schema
 print("ready", flush=True)
 sys.stdin.readline()
-with Store.open(sys.argv[1], make_layout(rows=1, columns=2), CONFIG) as store:
+with Store.open(sys.argv[1], make_schema(rows=1, columns=2), CONFIG) as store:
     print("open", flush=True)
     {work}
 """

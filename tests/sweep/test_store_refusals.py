@@ -8,41 +8,41 @@ import numpy as np
 import pytest
 import zarr.storage._local
 
-from ovibjax.sweep.layout import Variable
+from ovibjax.sweep.schema import Variable
 from ovibjax.sweep.store import Store, attach, open_dataset
-from tests.sweep.stores import AXES, CONFIG, VARIABLES, block, check, fill, make_layout, refusal, snapshot
+from tests.sweep.stores import AXES, CONFIG, VARIABLES, block, check, fill, make_schema, refusal, snapshot
 
 
 def test_another_sweep_is_refused_with_what_differs(tmp_path):
-    layout, path = make_layout(), tmp_path / "mine.zarr"
-    with Store.open(path, layout, CONFIG) as store:
+    schema, path = make_schema(), tmp_path / "mine.zarr"
+    with Store.open(path, schema, CONFIG) as store:
         fill(store, [0])
     before = snapshot(path)
     other = {"model": "vib", "steps": 4000, "axes": {"beta": {"values": [0.01]}}}
-    assert refusal(Store.open, path, layout, other) == (
+    assert refusal(Store.open, path, schema, other) == (
         f"{path} holds another sweep: steps is 2000 there and 4000 here; axes.beta.values is [0.001] there "
         "and [0.01] here; choose another --out or repeat the first command"
     )
-    many = refusal(Store.open, path, layout, dict.fromkeys("abcdef", 1))
+    many = refusal(Store.open, path, schema, dict.fromkeys("abcdef", 1))
     assert many.count(" there and ") == 3
-    assert "seeds is absent there and 3 here" in refusal(Store.open, path, layout, {**CONFIG, "seeds": 3})
-    changed = make_layout(rows=1)
+    assert "seeds is absent there and 3 here" in refusal(Store.open, path, schema, {**CONFIG, "seeds": 3})
+    changed = make_schema(rows=1)
     assert "chunks.rows is 2 there and 1 here" in refusal(Store.open, path, changed, CONFIG)
-    changed = make_layout({**AXES, "beta": [0.1, 0.02]})
+    changed = make_schema({**AXES, "beta": [0.1, 0.02]})
     assert "axes.beta.values is [0.1, 0.01] there and [0.1, 0.02] here" in refusal(Store.open, path, changed, CONFIG)
-    changed = make_layout(variables={**VARIABLES, "steps": Variable((), np.dtype("int64"), ())})
+    changed = make_schema(variables={**VARIABLES, "steps": Variable((), np.dtype("int64"), ())})
     assert 'variables.steps.dtype is "int32" there and "int64" here' in refusal(Store.open, path, changed, CONFIG)
     assert snapshot(path) == before
-    with Store.open(path, layout, CONFIG):
+    with Store.open(path, schema, CONFIG):
         pass
 
 
 def test_long_lists_are_shortened(tmp_path):
-    layout, path = make_layout(), tmp_path / "a.zarr"
-    Store.open(path, layout, {"snr": list(range(1000)), "path": "x" * 1000}).close()
-    message = refusal(Store.open, path, layout, {"snr": list(range(999)), "path": "x" * 1000})
+    schema, path = make_schema(), tmp_path / "a.zarr"
+    Store.open(path, schema, {"snr": list(range(1000)), "path": "x" * 1000}).close()
+    message = refusal(Store.open, path, schema, {"snr": list(range(999)), "path": "x" * 1000})
     assert "snr is [0, 1, ... 999] (1000 values) there and [0, 1, ... 998] (999 values) here" in message
-    message = refusal(Store.open, path, layout, {"snr": [*range(700), -1, *range(701, 1000)], "path": ""})
+    message = refusal(Store.open, path, schema, {"snr": [*range(700), -1, *range(701, 1000)], "path": ""})
     assert "snr[700] is 700 there and -1 here" in message
 
 
@@ -99,12 +99,12 @@ METADATA += ["no format", "no config", "no hash", "no layout"]
 
 @pytest.mark.parametrize("how", METADATA)
 def test_damaged_or_edited_metadata_is_refused(tmp_path, how):
-    layout, path = make_layout(), tmp_path / "a.zarr"
-    with Store.open(path, layout, CONFIG) as store:
+    schema, path = make_schema(), tmp_path / "a.zarr"
+    with Store.open(path, schema, CONFIG) as store:
         fill(store, [0])
     spoil(path, how)
     before = snapshot(tmp_path)
-    for message in (refusal(Store.open, path, layout, CONFIG), refusal(open_dataset, path), refusal(attach, path)):
+    for message in (refusal(Store.open, path, schema, CONFIG), refusal(open_dataset, path), refusal(attach, path)):
         assert str(path) in message and "choose another path" in message
     assert snapshot(tmp_path) == before
     if how == "format":
@@ -122,7 +122,7 @@ def test_what_is_no_store_is_left_alone(tmp_path):
     zarr.create_group(tmp_path / "old.zarr", zarr_format=2)
     before = snapshot(tmp_path)
     for name in ("file.zarr", "folder", "empty", "other.zarr", "old.zarr"):
-        assert str(tmp_path / name) in refusal(Store.open, tmp_path / name, make_layout(), CONFIG)
+        assert str(tmp_path / name) in refusal(Store.open, tmp_path / name, make_schema(), CONFIG)
         refusal(open_dataset, tmp_path / name)
     refusal(open_dataset, tmp_path / "missing.zarr")
     refusal(attach, tmp_path / "missing.zarr")
@@ -132,8 +132,8 @@ def test_what_is_no_store_is_left_alone(tmp_path):
 @pytest.mark.parametrize("name", ["error", "params.encoder_1.kernel", "steps", "diverged", "finished"])
 @pytest.mark.parametrize("how", ["flip", "cut", "empty", "folder"])
 def test_damaged_chunk_is_named_and_can_be_computed_again(tmp_path, name, how):
-    layout, path = make_layout(), tmp_path / "a.zarr"
-    with Store.open(path, layout, CONFIG) as store:
+    schema, path = make_schema(), tmp_path / "a.zarr"
+    with Store.open(path, schema, CONFIG) as store:
         fill(store, [0, 2])
     (file,) = (path / name).glob("c.2*")
     data = file.read_bytes()
@@ -150,27 +150,27 @@ def test_damaged_chunk_is_named_and_can_be_computed_again(tmp_path, name, how):
     Path(remove).unlink()
     if file.is_dir():
         file.rmdir()
-    with Store.open(path, layout, CONFIG) as store:
+    with Store.open(path, schema, CONFIG) as store:
         assert store.finished().tolist() == [True, False, False, False]
         fill(store, [2])
-    check(path, layout, [0, 2])
+    check(path, schema, [0, 2])
 
 
 @pytest.mark.parametrize(
     "name", ["beta", "grid_index", "finished", "diverged", "member", "chunk", "prefix", "zarr.json", "a_b"]
 )
 def test_names_that_clash_are_refused(tmp_path, name):
-    layout = make_layout(
+    schema = make_schema(
         {"a": [1, 2], "b": [3, 4], "beta": [1]},
         (("a", "b"),),
         variables={**VARIABLES, name: Variable((), np.dtype("float32"), ())},
     )
-    assert repr(name) in refusal(Store.open, tmp_path / "a.zarr", layout, CONFIG)
+    assert repr(name) in refusal(Store.open, tmp_path / "a.zarr", schema, CONFIG)
     assert not list(tmp_path.iterdir())
 
 
 def test_axis_with_a_name_of_the_store_is_refused(tmp_path):
-    assert "'finished'" in refusal(Store.open, tmp_path / "a.zarr", make_layout({"finished": [1, 2]}), CONFIG)
+    assert "'finished'" in refusal(Store.open, tmp_path / "a.zarr", make_schema({"finished": [1, 2]}), CONFIG)
 
 
 @pytest.mark.parametrize(
@@ -190,14 +190,14 @@ def test_axis_with_a_name_of_the_store_is_refused(tmp_path):
     ],
 )
 def test_variables_that_cannot_be_stored_are_refused(tmp_path, name, variable):
-    refusal(Store.open, tmp_path / "a.zarr", make_layout(variables={name: variable}), CONFIG)
+    refusal(Store.open, tmp_path / "a.zarr", make_schema(variables={name: variable}), CONFIG)
     assert not list(tmp_path.iterdir())
 
 
 def test_wrong_arrays_are_refused(tmp_path):
-    layout = make_layout()
-    with Store.open(tmp_path / "a.zarr", layout, CONFIG) as store:
-        arrays, diverged = block(layout, 0)
+    schema = make_schema()
+    with Store.open(tmp_path / "a.zarr", schema, CONFIG) as store:
+        arrays, diverged = block(schema, 0)
         wrong = [
             (0, {**arrays, "more": diverged}, diverged),
             (0, {name: v for name, v in arrays.items() if name != "steps"}, diverged),
@@ -211,4 +211,4 @@ def test_wrong_arrays_are_refused(tmp_path):
             with pytest.raises(ValueError):
                 store.write(*call)
         assert not store.finished().any()
-        check(tmp_path / "a.zarr", layout, [])
+        check(tmp_path / "a.zarr", schema, [])

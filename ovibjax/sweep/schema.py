@@ -36,7 +36,7 @@ class Variable:
 
 
 @dataclass(frozen=True)
-class Layout:
+class Schema:
     """What a store holds.
 
     Attributes:
@@ -52,11 +52,11 @@ class Layout:
     coords: dict[str, Axis]
 
 
-def check(layout: Layout) -> None:
+def check(schema: Schema) -> None:
     """Refuse names that clash and types that a file cannot hold."""
     sizes: dict[str, int] = {}
-    arrays = {dim: Variable((len(a.values),), np.asarray(a.values).dtype, (dim,)) for dim, a in layout.coords.items()}
-    for name, variable in [*arrays.items(), *layout.variables.items()]:
+    arrays = {dim: Variable((len(a.values),), np.asarray(a.values).dtype, (dim,)) for dim, a in schema.coords.items()}
+    for name, variable in [*arrays.items(), *schema.variables.items()]:
         dims, shape, dtype = variable.dims, variable.shape, np.dtype(variable.dtype)
         if not re.fullmatch(r"(?!__)\w[\w.-]*", name):
             raise InputError(f"{name!r} cannot name a variable; use letters, digits, '_', '-' and '.'")
@@ -67,20 +67,20 @@ def check(layout: Layout) -> None:
         for dim, size in zip(dims, shape, strict=True):
             if sizes.setdefault(dim, size) != size:
                 raise InputError(f"variable {name}: dimension {dim} has length {size} here and {sizes[dim]} elsewhere")
-    grid = layout.grid
-    names = [*_OWN_NAMES, *grid.axes, *(set(grid.dims) - set(grid.axes)), *sizes, *layout.variables]
+    grid = schema.grid
+    names = [*_OWN_NAMES, *grid.axes, *(set(grid.dims) - set(grid.axes)), *sizes, *schema.variables]
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise InputError(f"{twice[0]!r} names two things in this sweep (or is the store's own name); rename one")
 
 
 def assemble(
-    layout: Layout, done: list[int], read: Callable[[str], np.ndarray], config: dict[str, Any]
+    schema: Schema, done: list[int], read: Callable[[str], np.ndarray], config: dict[str, Any]
 ) -> xarray.Dataset:
     """Finished chunks as a dataset with the grid's dimensions.
 
     Args:
-        layout: what there is.
+        schema: what there is.
         done: finished chunks.
         read: gives [len(done), rows * columns, ...] of a variable, or of `diverged`.
         config: what the sweep was started with.
@@ -90,8 +90,8 @@ def assemble(
         `diverged` tell. Coordinates have their values or names; those of zipped axes lie along their common
         dimension. Attributes are `config` and `hash`.
     """
-    grid = layout.grid
-    members = layout.chunks.members[done].reshape(-1)
+    grid = schema.grid
+    members = schema.chunks.members[done].reshape(-1)
     real = members != PADDING
 
     def spread(data: np.ndarray) -> np.ndarray:
@@ -100,12 +100,12 @@ def assemble(
         flat[members[real]] = data.reshape(-1, *data.shape[2:])[real]
         return flat.reshape(*grid.shape, *data.shape[2:])
 
-    every = np.ones((len(done), layout.chunks.rows * layout.chunks.columns), bool)
+    every = np.ones((len(done), schema.chunks.rows * schema.chunks.columns), bool)
     data: dict[str, Any] = {"finished": (grid.dims, spread(every))}
-    for name, variable in {"diverged": Variable((), np.dtype(bool), ()), **layout.variables}.items():
+    for name, variable in {"diverged": Variable((), np.dtype(bool), ()), **schema.variables}.items():
         data[name] = ((*grid.dims, *variable.dims), spread(read(name)), attributes_of(variable.unit))
     coords = {name: (grid.dims[grid.group_of(name)], axis) for name, axis in grid.axes.items()}
-    coords |= {dim: (dim, axis) for dim, axis in layout.coords.items()}
+    coords |= {dim: (dim, axis) for dim, axis in schema.coords.items()}
     return xarray.Dataset(
         data,
         {name: (dim, np.asarray(axis.values), attributes_of(axis.unit)) for name, (dim, axis) in coords.items()},
@@ -113,34 +113,34 @@ def assemble(
     )
 
 
-def describe(layout: Layout) -> dict[str, Any]:
-    """A layout as JSON, with a digest of the order of members."""
+def description(schema: Schema) -> dict[str, Any]:
+    """A schema as JSON, with a digest of the order of members."""
 
     def axes(given: dict[str, Axis]) -> dict[str, Any]:
         return {name: {"values": np.asarray(a.values).tolist(), "unit": a.unit} for name, a in given.items()}
 
-    chunks = layout.chunks
+    chunks = schema.chunks
     order = hashlib.sha256(chunks.members.astype("<i8").tobytes()).hexdigest()[:16]
     return {
-        "axes": axes(layout.grid.axes),
-        "groups": [list(group) for group in layout.grid.groups],
+        "axes": axes(schema.grid.axes),
+        "groups": [list(group) for group in schema.grid.groups],
         "chunks": {"outer": chunks.outer, "rows": chunks.rows, "columns": chunks.columns, "order": order},
         "variables": {
             name: {"shape": list(v.shape), "dtype": np.dtype(v.dtype).name, "dims": list(v.dims), "unit": v.unit}
-            for name, v in layout.variables.items()
+            for name, v in schema.variables.items()
         },
-        "coords": axes(layout.coords),
+        "coords": axes(schema.coords),
     }
 
 
-def restore(described: dict[str, Any], members: np.ndarray) -> Layout:
-    """The inverse of `_describe`."""
+def schema_of(described: dict[str, Any], members: np.ndarray) -> Schema:
+    """The schema of a store from its description and the order of its members."""
 
     def axes(given: dict[str, Any]) -> dict[str, Axis]:
         return {name: Axis(tuple(a["values"]), a["unit"]) for name, a in given.items()}
 
     chunks = described["chunks"]
-    layout = Layout(
+    schema = Schema(
         Grid(axes(described["axes"]), tuple(tuple(group) for group in described["groups"])),
         Chunks(
             chunks["outer"],
@@ -154,9 +154,9 @@ def restore(described: dict[str, Any], members: np.ndarray) -> Layout:
         },
         axes(described["coords"]),
     )
-    if canonical(describe(layout)) != canonical(described):
+    if canonical(description(schema)) != canonical(described):
         raise ValueError("grid_index does not fit the layout")
-    return layout
+    return schema
 
 
 def differences(there: Any, here: Any, name: str = "") -> Iterator[str]:
