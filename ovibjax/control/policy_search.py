@@ -1,7 +1,7 @@
-"""Which numbers suit VOI-Control: many candidate controllers, each replayed on every route and seed (paper, Section
-"View-Rate Selection").
+"""Which numbers suit VOI-Control: many candidate controllers, each replayed on every route and seed.
 
-The candidate with the lowest local risk under the hard budget wins; no true error is looked at.
+This is the search on tuning seeds of the paper's Section "View-Rate Selection". The candidate with the lowest local
+risk under the hard budget wins; no true error is looked at.
 """
 
 import jax
@@ -58,10 +58,10 @@ def search(
         Fields [routes, seeds, candidates].
     """
 
-    def lane(draws: Draws, route: Route) -> Summary:
+    def one(draws: Draws, route: Route) -> Summary:
         return jax.vmap(lambda control: score(draws, route, policy, ControlParams(env, control), actions))(tried)
 
-    return jax.vmap(jax.vmap(lane, (0, None)))(draws, routes)
+    return jax.vmap(jax.vmap(one, (0, None)))(draws, routes)
 
 
 def lowest_risk(searched: Summary) -> jax.Array:

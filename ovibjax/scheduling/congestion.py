@@ -17,7 +17,7 @@ LEVELS = {"low": (10, 12.0), "medium": (20, 8.0), "high": (30, 4.0)}
 
 PHASE_SPREAD_S = 0.54
 """Clients start the route uniformly within this time. The paper does not give it; at this value the edge p95 of FIFO at
-high congestion lies near the paper's 93 ms, and the other policies fall as they fall."""
+high congestion lies near the paper's 93 ms, and the other rules fall as they fall."""
 
 
 class Case(NamedTuple):
@@ -56,7 +56,7 @@ def workloads(keys: jax.Array, events: Events, cases: Case, trace: TraceParams, 
     return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(cases, keys)
 
 
-@partial(jax.jit, static_argnames=("n_max", "policies"))
+@partial(jax.jit, static_argnames=("n_max", "rules"))
 def compare(
     keys: jax.Array,
     events: Events,
@@ -64,9 +64,9 @@ def compare(
     trace: TraceParams,
     params: SchedulerParams,
     n_max: int,
-    policies: tuple[str, ...] = POLICIES,
+    rules: tuple[str, ...] = POLICIES,
 ) -> dict[str, ReplayMetrics]:
-    """Replay every policy on every case, seed and setting of the parameters.
+    """Replay every rule on every case, seed and setting of the parameters.
 
     Args:
         keys: [S] keys of the seeds.
@@ -75,10 +75,10 @@ def compare(
         trace: urgency, deadlines, service.
         params: leaves scalars or [P].
         n_max: most clients of any case (static).
-        policies: which rules (static).
+        rules: names of scheduling rules (static).
 
     Returns:
-        Metrics [R, S, P] by policy.
+        Metrics [R, S, P] by rule.
     """
     made = workloads(keys, events, cases, trace, n_max)
     shape = made.uplink_ms.shape[:2]
@@ -86,11 +86,11 @@ def compare(
     size = max((leaf.shape[0] for leaf in jax.tree.leaves(params) if leaf.ndim), default=1)
     full = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size,)), params)
 
-    def judged(policy: str) -> ReplayMetrics:
-        found = run_grid(flat.requests, policy, full, metrics, flat)
+    def judged(rule: str) -> ReplayMetrics:
+        found = run_grid(flat.requests, rule, full, metrics, flat)
         return jax.tree.map(lambda leaf: leaf.reshape(*shape, size), found)
 
-    return {policy: judged(policy) for policy in policies}
+    return {rule: judged(rule) for rule in rules}
 
 
 def objectives(workload: Workload, waits_ms: jax.Array, params: SchedulerParams) -> jax.Array:

@@ -25,7 +25,7 @@ _LANES = 1024
 _FEW_LANES = 16  # fewer settings are replayed one by one, which compiles less
 
 SWEPT = ("base_dpp", "voi_lyapunov")
-"""Policies that have parameters."""
+"""Rules that have parameters."""
 
 Summarize = Callable[[Any, jax.Array, SchedulerParams], Any]
 
@@ -122,7 +122,7 @@ def _block(
 
 
 def _one_by_one(requests: Requests, params: SchedulerParams, policy: str, n_lanes: int) -> jax.Array:
-    """Waits [L, J] by the plain replay; once for all lanes where the policy has no parameter."""
+    """Waits [L, J] by the plain replay; once for all lanes where the rule has no parameter."""
 
     def waits(chosen: SchedulerParams) -> jax.Array:
         return to_trace_order(requests, served_order(requests, policy, chosen))

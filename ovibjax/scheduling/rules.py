@@ -228,10 +228,10 @@ RULES: dict[str, Rule] = {
     "base_dpp": base_dpp,
     "voi_lyapunov": voi_lyapunov,
 }
-"""Rules by policy name."""
+"""Scheduling rules by name."""
 
 POLICIES = tuple(RULES)
-"""Names of the scheduling policies."""
+"""Names of the scheduling rules; the argument `policy` of a queue replay is one of them."""
 
 BY_CLIENT = ("maxweight", "base_dpp")
-"""Policies that choose among heads of line."""
+"""Rules that choose among heads of line."""

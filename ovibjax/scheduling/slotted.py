@@ -1,7 +1,7 @@
 """Which clients to serve in a slot: the exact optimizer (paper, eqs. "voi_scheduler" and "queue").
 
 A slot has few clients, so all 2^N subsets are compared. Their sums are those of two halves of the clients, added as
-rows and columns of a table: what a lane keeps alive under `vmap` is little more than one vector of 2^N numbers.
+rows and columns of a table: what each problem keeps alive under `vmap` is little more than one vector of 2^N numbers.
 """
 
 import jax
