@@ -49,6 +49,10 @@ PUBLIC = {
 """Public names by package; what is not written here may change from one version to the next."""
 
 
+def module_of(path):
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
 def names(package):
     return sorted(PUBLIC[package].split())
 
@@ -58,6 +62,10 @@ def test_public_names(package):
     module = importlib.import_module(package)
     assert sorted(module.__all__) == names(package)
     assert set(names(package)) <= set(dir(module))
+
+
+def test_every_package_with_a_face_is_listed():
+    assert sorted(PUBLIC) == sorted(module_of(path.with_suffix(".py")) for path in PACKAGE.rglob("__init__.pyi"))
 
 
 @pytest.fixture(scope="module")
@@ -81,10 +89,6 @@ def test_every_public_name_is_there_and_explained(package, everything):
 def test_importing_loads_no_jax():
     code = "import sys, ovibjax as ob; assert dir(ob) and ob.__version__; sys.exit('jax' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def module_of(path):
-    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
 
 
 WITH_EXAMPLES = sorted(module_of(path) for path in PACKAGE.rglob("*.py") if ">>> " in path.read_text())
@@ -142,6 +146,12 @@ def test_examples_in_readmes_run(code, monkeypatch, tmp_path, request):
     for whole, small in SMALLER.items():
         code = code.replace(whole, small)
     exec(compile(code, request.node.name, "exec"), {})
+
+
+def test_files_named_in_the_readme_exist():
+    root = PACKAGE.parent
+    named = re.findall(r"`((?:ovibjax|sweeps|results|tests)/[\w/.]*)`", (root / "README.md").read_text())
+    assert named and [name for name in named if not (root / name).exists()] == []
 
 
 def test_every_size_that_is_made_smaller_is_in_an_example():
