@@ -42,7 +42,7 @@ class Learned(NamedTuple):
 
 @dataclass(frozen=True)
 class Protocol:
-    """A member function for `sweep.run`; hashable.
+    """Learn from the references and localize the queries: a member function for `sweep.run`; hashable.
 
     Attributes:
         static: architecture, steps.

@@ -53,7 +53,7 @@ class Queries(NamedTuple):
 
 
 def scene_data(references: FeatureSet, queries: FeatureSet, rank: int | None) -> tuple[References, Queries]:
-    """Split the references, fit the per-view basis on their training part, and project everything.
+    """The data of one scene: references split by place, and queries, in the basis of the training references.
 
     Args:
         references: at least `splits.MIN_REFERENCES` frames.

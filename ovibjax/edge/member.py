@@ -1,4 +1,4 @@
-"""Member functions of encoder sweeps: train at a grid point and judge, or judge a trained encoder otherwise."""
+"""What an encoder sweep computes at each point of its grid: train and judge, or judge a trained encoder otherwise."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -25,7 +25,7 @@ DIMS = dict.fromkeys(("val_mean_m", "test_mean_m", "test_p90_m", "eta"), ("mode"
 
 @dataclass(frozen=True)
 class TrainAndJudge:
-    """A member function for `sweep.run`; hashable, and the same object for every grid point.
+    """Train an encoder and judge it: a member function for `sweep.run`; hashable, one object for all points.
 
     Attributes:
         static: architecture, prior, steps.
@@ -74,7 +74,7 @@ class TrainAndJudge:
 
 @dataclass(frozen=True)
 class FuseAndLocate:
-    """A member function: the conference version's attention fusion of views, trained on positions alone.
+    """Train the conference version's attention fusion of views on positions alone, and judge it: a member function.
 
     Attributes:
         static: widths and steps.
@@ -117,7 +117,7 @@ ORDERINGS = ("learned", *(f"random_{i}" for i in range(1, 9)), "tail_first")
 
 @dataclass(frozen=True)
 class JudgeOrdering:
-    """A member function: keep k coordinates of a trained code in another order than the learned one.
+    """Judge a trained code whose coordinates are kept in another order than the learned one: a member function.
 
     Attributes:
         arch: widths of the network.

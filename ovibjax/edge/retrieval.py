@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.edge.index import Index, build_index, normalize
-from ovibjax.edge.tile_search import SCENES, TILES, Found, search
+from ovibjax.edge.tile_search import Found, search
 
 __all__ = [
     "SCENES",
@@ -25,6 +25,9 @@ __all__ = [
     "retrieve",
     "search",
 ]
+
+SCENES, TILES = 2, 12
+"""Scene and tile prototypes kept per query (paper, Section "Coarse-to-Fine Retrieval")."""
 
 # Similarities, and queries of a leave-one-out search, held at a time: both bound memory.
 _BLOCK_PAIRS, _OWN_BLOCK = 1 << 27, 512
@@ -53,7 +56,7 @@ def retrieve(
 
 
 def brute_force(query: jax.Array, db: jax.Array) -> jax.Array:
-    """Index of the most similar database row of each query.
+    """Most similar database row of each query, compared with every row.
 
     Equal similarities go to the lower index; rows that are duplicates of each other may differ by rounding.
 

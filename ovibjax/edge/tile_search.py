@@ -14,9 +14,6 @@ import numpy as np
 
 from ovibjax.edge.index import NO_ROW, ROW_STEP, TILE_STEP, Index
 
-SCENES, TILES = 2, 12
-"""Scene and tile prototypes kept per query (paper, Section "Coarse-to-Fine Retrieval")."""
-
 _SEARCH_BLOCK = 256
 # A product over all tiles runs at the speed of arithmetic, reading a query's own tiles at that of memory.
 _DENSE = 4
@@ -44,7 +41,7 @@ class Found(NamedTuple):
     searched: jax.Array
 
 
-def search(query: jax.Array, index: Index, scenes: int = SCENES, tiles: int = TILES) -> Found:
+def search(query: jax.Array, index: Index, scenes: int, tiles: int) -> Found:
     """`retrieval.coarse_to_fine` with a record of what was kept and how much was searched.
 
     All queries are one compiled call, and batches of all sizes share a program per power of two.

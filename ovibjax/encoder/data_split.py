@@ -13,7 +13,7 @@ from ovibjax.features.splits import split_indices
 
 
 class Standardizer(NamedTuple):
-    """Affine map between metres and the scale positions are trained in.
+    """Map between metres and the scale in which positions are trained.
 
     Attributes:
         mean_m: [3] mean training position.

@@ -117,7 +117,7 @@ def split_views(x: jax.Array, arch: Architecture, rows: Sequence[int] | None = N
 
 
 def init(key: jax.Array, arch: Architecture) -> Params:
-    """Initial parameters.
+    """Random parameters to start training from.
 
     Args:
         key: random key.

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 @jax.custom_vjp
 def orthogonality_penalty(W: jax.Array) -> jax.Array:
-    """Normalised deviation of the rows of W from orthonormality, K^-2 ||W W^T - I||_F^2.
+    """How far the rows of W are from orthonormal: K^-2 ||W W^T - I||_F^2.
 
     Args:
         W: [K, d_h] posterior-mean projection.

@@ -17,7 +17,7 @@ class PCA(NamedTuple):
 
 
 def fit_pca(x: jax.Array, latent: int) -> PCA:
-    """Fit principal components.
+    """Principal components of features, the best linear code of every length.
 
     Args:
         x: [N, ...] centred features, D numbers each.

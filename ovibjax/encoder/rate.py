@@ -11,7 +11,7 @@ _TINY = 1e-16
 
 
 def gaussian_kl(mu: jax.Array, logvar: jax.Array) -> jax.Array:
-    """KL divergence of N(mu, exp(logvar)) from N(0, I) in nats, summed over the last axis.
+    """Rate of a Gaussian code: its KL divergence from the standard normal prior, summed over the last axis.
 
     Args:
         mu: [..., K] posterior means.
@@ -29,14 +29,15 @@ def log_alpha(mu: jax.Array, logvar: jax.Array) -> jax.Array:
 
 
 def ard_kl(mu: jax.Array, logvar: jax.Array) -> jax.Array:
-    """Approximate KL divergence from the log-uniform prior p(z) ~ 1/|z| in nats, summed over the last axis.
+    """Rate under automatic relevance determination: approximate KL divergence from the prior p(z) ~ 1/|z|.
 
     Args:
         mu: [..., K] posterior means.
         logvar: [..., K] logarithms of the posterior variances.
 
     Returns:
-        [...] nats, within 0.009 per coordinate of the exact value up to its additive constant (paper, eq. "ardkl").
+        [...] nats, summed over the last axis, within 0.009 per coordinate of the exact value up to its additive
+        constant (paper, eq. "ardkl").
     """
     c1, c2, c3 = ARD_CONSTANTS
     ratio = log_alpha(mu, logvar)

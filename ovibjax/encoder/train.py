@@ -1,4 +1,4 @@
-"""Training of one O-VIB member as one pure function, to be vmapped over hyperparameters and seeds.
+"""Training of the O-VIB encoder as one pure function, to be vmapped over hyperparameters and seeds.
 
 Randomness follows the seed alone: minibatch order, view modes, prefixes and noise are the same for every member
 that shares a key, so members that differ in their hyperparameters are paired, and under `vmap` their first layer

@@ -78,7 +78,7 @@ def transmit_s(payload_bytes: ArrayLike, rate_bps: ArrayLike) -> jax.Array:
 
 
 def kbytes_per_s(rate_kb_per_s: Number) -> Number:
-    """Bits per second of a rate given, as in the paper's link profiles, in KB/s of 1,024 bytes.
+    """Bits per second of a rate in KB/s of 1,024 bytes, the unit of the paper's link profiles.
 
     Args:
         rate_kb_per_s: rate in KB/s, a number or an array.

@@ -126,7 +126,7 @@ class Request:
 
 
 def pack(request: Request) -> bytes:
-    """Serialize a request.
+    """The bytes of a request.
 
     Args:
         request: the request.
