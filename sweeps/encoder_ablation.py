@@ -10,10 +10,10 @@ from ovibjax.cards.ablation_drawing import draw
 from ovibjax.cards.ablation_study import Ablation, ablate, named, table_rows
 from ovibjax.cards.job import Job
 from ovibjax.encoder.bound_margins import check_bounds
-from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.loss import GAMMA
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
+from ovibjax.encoder.training_data import member_data
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
 

@@ -13,7 +13,7 @@ from ovibjax.cards.compression_methods import Effort, run_methods
 from ovibjax.cards.compression_results import Results, collect, table_rows
 from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, measure_encoder, overhead_rows
 from ovibjax.cards.job import CardInterrupted, Job
-from ovibjax.encoder.data_split import member_data
+from ovibjax.encoder.training_data import member_data
 from ovibjax.report.claims import write_claims
 from ovibjax.report.rows import write_rows
 

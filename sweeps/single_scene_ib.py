@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from ovibjax.cards.fixed_rate_drawing import draw
 from ovibjax.cards.fixed_rate_study import FixedRateStudy, K, table_rows, time_encoders, train_fusion, train_grid
 from ovibjax.cards.job import Job
-from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.loss import BETA, GAMMA
+from ovibjax.encoder.training_data import member_data
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
 

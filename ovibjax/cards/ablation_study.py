@@ -11,11 +11,11 @@ import xarray
 from ovibjax.cards.job import Sweep
 from ovibjax.edge.judging import Trained, judge_prefixes
 from ovibjax.edge.member import DIMS, ORDERINGS, UNITS, JudgeOrdering, TrainAndJudge
-from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.loss import BETA, GAMMA
 from ovibjax.encoder.orthogonality import SingularValues, singular_values
 from ovibjax.encoder.pca import fit_pca
 from ovibjax.encoder.train import TrainConfig
+from ovibjax.encoder.training_data import MemberData
 from ovibjax.sweep.select import tree_of
 from ovibjax.sweep.work import Along
 from ovibjax.views import full_mode, mode_mask

@@ -17,7 +17,7 @@ from ovibjax.cards.codec_frontier import RIVAL_K, Frontier
 from ovibjax.cards.compression_methods import Outcome, architecture_of, judge_raw_jit, prefixes_of
 from ovibjax.cards.job import Job
 from ovibjax.edge.judging import Trained
-from ovibjax.encoder.data_split import MemberData
+from ovibjax.encoder.training_data import MemberData
 from ovibjax.features.basis import ViewBasis, project
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.images.codecs import CODECS, LADDERS

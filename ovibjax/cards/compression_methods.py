@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.edge.judging import Judged, Trained, judge_prefixes, judge_raw
-from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.loss import GAMMA, Hypers, make_hypers
 from ovibjax.encoder.model import Architecture, Params
 from ovibjax.encoder.pca import fit_pca
 from ovibjax.encoder.train import TrainConfig, fit, fixed_rate
+from ovibjax.encoder.training_data import MemberData
 from ovibjax.features.basis import ViewBasis
 from ovibjax.runtime.progress import progress_bar
 from ovibjax.runtime.threads import in_threads

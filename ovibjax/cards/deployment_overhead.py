@@ -7,8 +7,8 @@ import numpy as np
 
 from ovibjax.cards.compression_methods import FIXED, LATENT, architecture_of
 from ovibjax.cards.compression_results import Results
-from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.model import encode, parameter_bytes
+from ovibjax.encoder.training_data import MemberData
 from ovibjax.link.latency import JETSON, LatencyProfile, kbytes_per_s, measure_host, semantic_latency_ms
 
 LINK_KB_PER_S = 8

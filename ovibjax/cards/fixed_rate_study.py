@@ -12,9 +12,9 @@ import xarray
 from ovibjax.cards.job import Sweep
 from ovibjax.edge.member import DIMS, UNITS, FuseAndLocate, TrainAndJudge
 from ovibjax.encoder.attention import AttentionConfig, init_attention, predict
-from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.model import Architecture, encode, init
 from ovibjax.encoder.train import TrainConfig, fixed_rate
+from ovibjax.encoder.training_data import MemberData
 from ovibjax.link.latency import compute_ms_at, measure_host
 from ovibjax.sweep.work import Along
 from ovibjax.views import full_mode

@@ -105,9 +105,9 @@ class SweepTrain:
     def _train(self, axes: dict[str, list[Any]], prefixes: tuple[int, ...], executor: "Executor | None") -> None:
         from ovibjax.cards.loading import load_features
         from ovibjax.edge.member import DIMS, UNITS, TrainAndJudge
-        from ovibjax.encoder.data_split import member_data
         from ovibjax.encoder.model import Architecture
         from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
+        from ovibjax.encoder.training_data import member_data
         from ovibjax.sweep.engine import run
         from ovibjax.sweep.work import Along
         from ovibjax.views import full_mode, modes_for

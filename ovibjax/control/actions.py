@@ -12,6 +12,9 @@ import numpy as np
 from ovibjax.link.payload import request_bytes
 from ovibjax.views import MODES, modes_for
 
+CONTROL_PREFIXES = (16, 32)
+"""Prefix lengths K_ctrl that a request may carry, compact and rich (paper, Section "View-Rate Encoding")."""
+
 
 @dataclass(frozen=True)
 class ActionSet:
@@ -23,7 +26,7 @@ class ActionSet:
     """
 
     modes: tuple[str, ...] = tuple(MODES)
-    prefixes: tuple[int, ...] = (16, 32)
+    prefixes: tuple[int, ...] = CONTROL_PREFIXES
 
     def __len__(self) -> int:
         return len(self.modes) * len(self.prefixes)

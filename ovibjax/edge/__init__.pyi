@@ -1,5 +1,3 @@
-from .fusion import calibrate as calibrate
-from .fusion import spatial_folds as spatial_folds
 from .index import Index as Index
 from .index import build_index as build_index
 from .judging import Trained as Trained
@@ -14,6 +12,8 @@ from .retrieval import brute_force as brute_force
 from .retrieval import coarse_to_fine as coarse_to_fine
 from .retrieval import leave_one_out as leave_one_out
 from .retrieval import retrieve as retrieve
+from .view_fusion import calibrate as calibrate
+from .view_fusion import spatial_folds as spatial_folds
 
 __all__ = [
     "Index",

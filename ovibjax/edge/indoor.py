@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ovibjax.edge.fusion import calibrate, fold_error_m, fold_similarity, fused_descriptor, kept_weights
 from ovibjax.edge.indoor_data import Queries, References
 from ovibjax.edge.localize import errors, mix, select_eta
 from ovibjax.edge.retrieval import brute_force
+from ovibjax.edge.view_fusion import calibrate, fold_error_m, fold_similarity, fused_descriptor, kept_weights
 from ovibjax.encoder.early_stopping import fit_early
-from ovibjax.encoder.loss import make_hypers, prefix_mask
+from ovibjax.encoder.loss import LR, make_hypers, prefix_mask
 from ovibjax.encoder.model import Params, decode, encode, locate
 from ovibjax.encoder.train import TrainConfig, TrainData
 from ovibjax.views import full_mode, mode_mask, modes_for
@@ -55,7 +55,7 @@ class Protocol:
     static: TrainConfig
     prefixes: tuple[int, ...]
     checkpoints: int
-    lr: float = 2e-3
+    lr: float = LR
     weight_decay: float = 0.5
 
     @property

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.edge.fusion import spatial_folds
-from ovibjax.encoder.data_split import Standardizer, mean_and_scale
+from ovibjax.edge.view_fusion import spatial_folds
+from ovibjax.encoder.training_data import Standardizer, mean_and_scale
 from ovibjax.features.basis import fit_basis, project
 from ovibjax.features.frames import FeatureSet
 

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 
 from ovibjax.edge.localize import errors, mix, select_eta
 from ovibjax.edge.retrieval import brute_force
-from ovibjax.encoder.data_split import MemberData
 from ovibjax.encoder.model import Architecture, Params, decode, encode, locate
 from ovibjax.encoder.pca import PCA, pca_reconstruct
+from ovibjax.encoder.training_data import MemberData
 
 
 class Trained(NamedTuple):

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 from ovibjax.edge.judging import Trained, judge_prefixes
 from ovibjax.edge.localize import errors, summarize
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, positions_m
-from ovibjax.encoder.data_split import MemberData
-from ovibjax.encoder.loss import Hypers, make_hypers
+from ovibjax.encoder.loss import LR, Hypers, make_hypers
 from ovibjax.encoder.model import Architecture, encode
 from ovibjax.encoder.rate import active_dims
 from ovibjax.encoder.train import TrainConfig, fit
+from ovibjax.encoder.training_data import MemberData
 from ovibjax.views import full_mode, mode_mask
 
 UNITS = {"val_mean_m": "m", "test_mean_m": "m", "test_p90_m": "m", "rate": "nats"}
@@ -38,7 +38,7 @@ class TrainAndJudge:
     static: TrainConfig
     prefixes: tuple[int, ...]
     modes: tuple[str, ...]
-    lr: float = 2e-3
+    lr: float = LR
     keep_params: bool = False
 
     def __call__(self, key: jax.Array, point: dict[str, jax.Array], member: MemberData) -> dict[str, Any]:

@@ -1,5 +1,3 @@
-from .data_split import MemberData as MemberData
-from .data_split import member_data as member_data
 from .loss import Hypers as Hypers
 from .loss import make_hypers as make_hypers
 from .loss import prefix_mask as prefix_mask
@@ -16,6 +14,8 @@ from .train import TrainConfig as TrainConfig
 from .train import TrainData as TrainData
 from .train import fit as fit
 from .train import fixed_rate as fixed_rate
+from .training_data import MemberData as MemberData
+from .training_data import member_data as member_data
 
 __all__ = [
     "Architecture",

@@ -12,11 +12,11 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from ovibjax.encoder.data_split import Standardizer
 from ovibjax.encoder.epochs import make_epoch, make_optimizer, schedule_of
 from ovibjax.encoder.loss import Hypers
 from ovibjax.encoder.model import Params
 from ovibjax.encoder.train import TrainData
+from ovibjax.encoder.training_data import Standardizer
 from ovibjax.views import mask_table
 
 

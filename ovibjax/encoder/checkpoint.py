@@ -90,7 +90,7 @@ def train_checkpoint(key: jax.Array, features: np.ndarray, config: CheckpointCon
     )
     static = TrainConfig(arch=arch, prefixes=config.prefixes, steps=config.steps, batch=config.batch)
     no_labels = jnp.zeros((len(x), 3), jnp.float32)
-    params, _ = _fit(key_fit, make_hypers(alpha=0.0, lr=2e-3), TrainData(x, no_labels), static)
+    params, _ = _fit(key_fit, make_hypers(alpha=0.0), TrainData(x, no_labels), static)
     return Checkpoint(params, basis, arch)
 
 

@@ -15,6 +15,9 @@ from ovibjax.encoder.rate import ard_kl, gaussian_kl
 ALPHA, BETA, GAMMA = 1.0, 1e-3, 0.1
 """Weights of localization, rate and orthogonality in the paper's evaluation (Section "Experimental Setup")."""
 
+LR = 2e-3
+"""Peak learning rate; the paper trains at 1e-3, for 50 epochs of batches of 512."""
+
 
 class Hypers(NamedTuple):
     """Numbers of one member of a grid; every field is an array leaf.
@@ -41,7 +44,7 @@ def make_hypers(
     alpha: float = ALPHA,
     beta: float = BETA,
     gamma: float = GAMMA,
-    lr: float = 2e-3,
+    lr: float = LR,
     weight_decay: float = 1e-4,
     nesting: float = 1.0,
 ) -> Hypers:

@@ -14,13 +14,11 @@ from scipy import sparse
 from scipy.optimize import OptimizeResult, linprog
 from scipy.special import ndtri
 
+from ovibjax.control.actions import CONTROL_PREFIXES
 from ovibjax.link.payload import request_bytes
 from ovibjax.views import MODES
 
 Array = jax.Array | npt.NDArray[Any]
-
-PREFIXES = (16, 32)
-"""Prefixes that the online controller chooses from."""
 
 
 class SlottedSystem(NamedTuple):
@@ -73,8 +71,11 @@ def draw_system(
     u_mode, u_prefix, u_jitter, u_voi = uniform[:-1].reshape(4, states, clients)
     view_counts = np.array(sorted(map(len, MODES.values())))
     n_views = view_counts[(len(view_counts) * u_mode).astype(int)]
-    payload = request_bytes(np.array(PREFIXES)[(len(PREFIXES) * u_prefix).astype(int)], n_views)
-    least, most = request_bytes(min(PREFIXES), min(view_counts)), request_bytes(max(PREFIXES), max(view_counts))
+    payload = request_bytes(np.array(CONTROL_PREFIXES)[(len(CONTROL_PREFIXES) * u_prefix).astype(int)], n_views)
+    least, most = (
+        request_bytes(min(CONTROL_PREFIXES), min(view_counts)),
+        request_bytes(max(CONTROL_PREFIXES), max(view_counts)),
+    )
     richness = (payload - least) / (most - least)
     scale_m = 4.0 + 4.0 * uniform[-1]
     voi = scale_m * (0.05 + richness) * (1.0 - u_voi)

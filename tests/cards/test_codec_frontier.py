@@ -10,8 +10,8 @@ from ovibjax.cards.codec_study import CodecPlan, choose_frames, judge_codecs
 from ovibjax.cards.compression_methods import LATENT, Outcome
 from ovibjax.edge.judging import Judged
 from ovibjax.edge.localize import ETAS
-from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture, init, locate
+from ovibjax.encoder.training_data import member_data
 from ovibjax.features.frames import make_feature_set
 from ovibjax.features.splits import split_indices
 from ovibjax.report.claims import HELD, NOT_HELD

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
+from ovibjax.encoder.training_data import member_data
 from ovibjax.features.frames import make_feature_set
 
 ARCH = Architecture(view_dim=6, latent=8, hidden=16, last_hidden=12, head=8)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ovibjax.edge import indoor
-from ovibjax.edge.fusion import kept_weights
 from ovibjax.edge.indoor import DIMS, Protocol
 from ovibjax.edge.indoor_data import scene_data
 from ovibjax.edge.localize import ETAS
+from ovibjax.edge.view_fusion import kept_weights
 from ovibjax.encoder.model import Architecture, decode, encode, locate
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.views import MODES, mode_mask

@@ -7,9 +7,9 @@ import pytest
 
 from ovibjax.edge.judging import Trained, judge, judge_prefixes, judge_raw, one_standard_error_choice
 from ovibjax.edge.localize import ETAS
-from ovibjax.encoder.data_split import member_data
 from ovibjax.encoder.model import Architecture, decode, encode, init, locate
 from ovibjax.encoder.pca import fit_pca, pca_reconstruct
+from ovibjax.encoder.training_data import member_data
 from ovibjax.features.frames import make_feature_set
 from ovibjax.views import mode_mask
 

@@ -11,9 +11,9 @@ import pytest
 
 from ovibjax.encoder import attention as module
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, init_attention
-from ovibjax.encoder.data_split import Standardizer
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.train import TrainData
+from ovibjax.encoder.training_data import Standardizer
 from ovibjax.views import mask_table
 from tests.encoder.cases import QUICK, member_of, quick_jit, stack
 from tests.oracles import attention as oracle

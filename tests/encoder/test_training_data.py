@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from ovibjax.encoder.data_split import member_data
+from ovibjax.encoder.training_data import member_data
 from ovibjax.features.frames import make_feature_set
 from ovibjax.features.splits import split_indices
 

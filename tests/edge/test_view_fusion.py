@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ovibjax.edge import fusion
-from ovibjax.edge.fusion import (
+from ovibjax.edge import view_fusion as fusion
+from ovibjax.edge.localize import errors
+from ovibjax.edge.retrieval import brute_force
+from ovibjax.edge.view_fusion import (
     fold_error_m,
     fold_similarity,
     fused_descriptor,
@@ -18,8 +20,6 @@ from ovibjax.edge.fusion import (
     spatial_folds,
     surrogate_m,
 )
-from ovibjax.edge.localize import errors
-from ovibjax.edge.retrieval import brute_force
 from ovibjax.views import mode_mask
 from tests.oracles import edge as oracle
 from tests.runtime.cases import QUICK
