@@ -71,11 +71,9 @@ def draw_system(
     u_mode, u_prefix, u_jitter, u_voi = uniform[:-1].reshape(4, states, clients)
     view_counts = np.array(sorted(map(len, MODES.values())))
     n_views = view_counts[(len(view_counts) * u_mode).astype(int)]
-    payload = request_bytes(np.array(CONTROL_PREFIXES)[(len(CONTROL_PREFIXES) * u_prefix).astype(int)], n_views)
-    least, most = (
-        request_bytes(min(CONTROL_PREFIXES), min(view_counts)),
-        request_bytes(max(CONTROL_PREFIXES), max(view_counts)),
-    )
+    prefixes = np.array(CONTROL_PREFIXES)
+    payload = request_bytes(prefixes[(len(prefixes) * u_prefix).astype(int)], n_views)
+    least, most = (int(request_bytes(int(end(prefixes)), end(view_counts))) for end in (min, max))
     richness = (payload - least) / (most - least)
     scale_m = 4.0 + 4.0 * uniform[-1]
     voi = scale_m * (0.05 + richness) * (1.0 - u_voi)
