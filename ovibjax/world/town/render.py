@@ -107,8 +107,9 @@ def render(town: Town, positions_m: jax.Array, yaw_rad: jax.Array, camera: Camer
     """
     n = positions_m.shape[0]
     origin, ray, boxes, trees = _prepare(town, jnp.asarray(positions_m), jnp.asarray(yaw_rad), camera)
-    distances = (*hit_boxes(boxes, origin, ray), *hit_trees(trees, origin, ray))
-    surface = _surface(distances, origin, ray, boxes, trees, camera)
+    (t_box, box_slot), (t_tree, tree_slot) = hit_boxes(boxes, origin, ray), hit_trees(trees, origin, ray)
+    winners = (lookup(boxes, box_slot), lookup(trees, tree_slot))
+    surface = _surface((t_box, t_tree), origin, ray, winners, camera)
     materials = (
         shade_wall(surface.hit, surface.box, surface.faces_x, ray, surface.footprint),
         shade_roof(surface.hit, surface.box, surface.footprint),
@@ -177,15 +178,14 @@ def _prepare(
 
 @partial(jax.jit, static_argnames="camera")
 def _surface(
-    distances: tuple[jax.Array, ...],
+    distances: tuple[jax.Array, jax.Array],
     origin: jax.Array,
     ray: list[jax.Array],
-    boxes: jax.Array,
-    trees: jax.Array,
+    winners: tuple[list[jax.Array], list[jax.Array]],
     camera: Camera,
 ) -> _Surface:
     """Choose between building, tree, ground and sky, and gather what shading needs."""
-    t_box, slot_box, t_tree, slot_tree = distances
+    (t_box, t_tree), (box, tree) = distances, winners
     down = jnp.where(ray[2] < -1e-4, ray[2], -1e-4)
     t_ground = jnp.where(ray[2] < -1e-4, -origin[:, 2, None] / down, FAR_M)
     t_ground = jnp.where(t_ground > 900.0, FAR_M, t_ground)
@@ -196,7 +196,6 @@ def _surface(
     length = jnp.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
     # Metres that one pixel covers on a surface facing the camera.
     footprint = t_hit * (2.0 / camera.width_px)
-    box = lookup(boxes, slot_box)
     wall_x = jnp.minimum(jnp.abs(hit[0] - box[0]), jnp.abs(hit[0] - box[3]))
     wall_y = jnp.minimum(jnp.abs(hit[1] - box[1]), jnp.abs(hit[1] - box[4]))
     return _Surface(
@@ -208,7 +207,7 @@ def _surface(
         faces_x=wall_x < wall_y,
         hit=hit,
         box=box,
-        tree=lookup(trees, slot_tree),
+        tree=tree,
         direction=[r / length for r in ray],
         footprint=footprint,
         slant=footprint * length / jnp.maximum(-ray[2], 0.08),
