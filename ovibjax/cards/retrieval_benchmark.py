@@ -117,7 +117,7 @@ def make_benchmark(features: FeatureSet, ks: Sequence[int], rank: int | None, st
     def code(x: jax.Array, k: jax.Array) -> jax.Array:
         mu, _ = encode(checkpoint.params, x, checkpoint.arch)
         kept = (jnp.arange(checkpoint.arch.latent) < k).astype(jnp.float32)
-        return decode(checkpoint.params, mu * kept[None], checkpoint.arch)
+        return decode(checkpoint.params, mu, kept, checkpoint.arch)
 
     scene = np.unique(features.scene_id, return_inverse=True)[1].ravel().astype(np.int32)
     blocks = np.zeros((n, n_views, *x.shape[1:]), np.float32)

@@ -86,5 +86,5 @@ def retrieve(
         [N] int32 retrieved positions in the database.
     """
     prefix = (jnp.arange(arch.latent) < k).astype(jnp.float32)
-    descriptor = decode(params, mu * prefix[None], arch) * jnp.repeat(view_mask, arch.view_dim)[None]
+    descriptor = decode(params, mu, prefix, arch) * jnp.repeat(view_mask, arch.view_dim)[None]
     return leave_one_out(descriptor, descriptor[references], own)

@@ -200,7 +200,7 @@ def _estimates(
     centre, scale = references.standardizer
 
     def one(k: jax.Array) -> tuple[jax.Array, jax.Array]:
-        descriptor = decode(params, mu * prefix_mask(k, arch.latent)[None], arch) * wide
+        descriptor = decode(params, mu, prefix_mask(k, arch.latent), arch) * wide
         reg = centre[None] + scale * locate(params, descriptor, arch)
         return reg, references.positions_m[rows][brute_force(descriptor, database)]
 

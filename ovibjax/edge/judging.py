@@ -122,7 +122,7 @@ def judge_prefixes(
             if pca is not None:
                 return pca_reconstruct(pca, x, prefix)
             mu, _ = encode(trained.params, x, arch)
-            return decode(trained.params, mu * prefix[None], arch)
+            return decode(trained.params, mu, prefix, arch)
 
         return judge(trained, arch, view_mask, codec, recode)
 

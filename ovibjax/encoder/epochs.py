@@ -20,13 +20,16 @@ Epoch = Callable[[State, jax.Array], tuple[State, dict[str, jax.Array]]]
 """One epoch of training, see `make_epoch`."""
 
 
-def make_optimizer(hypers: Hypers, warmup: int, total_steps: int) -> optax.GradientTransformation:
+def make_optimizer(
+    hypers: Hypers, warmup: int, total_steps: int, clip: float | None = None
+) -> optax.GradientTransformation:
     """AdamW with linear warm-up and cosine decay; its numbers are leaves, so that they can be swept.
 
     Args:
         hypers: `lr`, the peak learning rate, and `weight_decay`.
         warmup: steps of warm-up, at most a fifth of all.
         total_steps: steps in all.
+        clip: norm that gradients are scaled down to first; none if None.
 
     Returns:
         The gradient transformation.
@@ -39,7 +42,8 @@ def make_optimizer(hypers: Hypers, warmup: int, total_steps: int) -> optax.Gradi
         fall = jnp.clip((step - warmup) / max(total_steps - warmup, 1), 0.0, 1.0)
         return hypers.lr * jnp.minimum(rise, 0.5 * (1.0 + jnp.cos(jnp.pi * fall)))
 
-    return optax.adamw(schedule, weight_decay=hypers.weight_decay)
+    adamw = optax.adamw(schedule, weight_decay=hypers.weight_decay)
+    return adamw if clip is None else optax.chain(optax.clip_by_global_norm(clip), adamw)
 
 
 def schedule_of(steps: int, batch: int, n: int) -> tuple[int, int, int]:

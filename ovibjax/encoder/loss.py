@@ -135,8 +135,8 @@ def composite_loss(
     masks = [batch.view_mask[:count, view, None] for view, count in enumerate(counts)]
     views = [x * mask for x, mask in zip(split_views(batch.x, arch, counts), masks, strict=True)]
     mu, logvar = cast(tuple[jax.Array, jax.Array], network.apply(params, views, method="encode"))
-    z = (mu + jnp.exp(0.5 * logvar) * batch.noise) * batch.prefix_mask
-    decoded = cast(list[jax.Array], network.apply(params, z, counts, method="decode"))
+    z = mu + jnp.exp(0.5 * logvar) * batch.noise
+    decoded = cast(list[jax.Array], network.apply(params, z, batch.prefix_mask, counts, method="decode"))
     descriptor = [x * mask for x, mask in zip(decoded, masks, strict=True)]
     position = cast(jax.Array, network.apply(params, descriptor, method="locate"))
     kl = gaussian_kl if prior == "gaussian" else ard_kl

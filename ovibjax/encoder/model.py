@@ -3,6 +3,18 @@
 flax.linen used functionally: parameters are a plain pytree; every method takes one batch. Hidden layers use GELU:
 it trains to lower error than ReLU here, because a smooth decoder interpolates between training frames.
 
+Three kinds of network (`Architecture.kind`). "dense" is encoder and decoder of plain layers. "linear" and "completing"
+add a linear path to both, which starts as principal component analysis (`linear_start`), so that training only has to
+learn what that leaves open:
+
+- Encoder: h = sum of L_v x_v + MLP(x), mu = W h. L starts as the leading principal directions of the training features,
+  W as the first K rows of the identity, so that W W^T = I.
+- Decoder of "linear": x̂ = D (z m) + MLP(z m), with D the transpose of L at the start.
+- Decoder of "completing": x̂ = D (z m + (1 - m) f(z m)), where the network f predicts from the prefix the principal
+  coordinates that were not sent. The edge knows the mask m, as k stands in every packet. At k = K the decoder is
+  linear, so that short prefixes cost long ones nothing. The first layer of f is a sine: a few numbers must become
+  patterns of high spatial frequency.
+
 The layers that touch the multi-view feature hold one kernel per view. Their sum is the dense layer over the
 concatenated views, and a view that is masked in some rows of a batch costs nothing there: rows are ordered so that
 every view is present in the first `rows[v]` of them, and only those are multiplied.
@@ -22,6 +34,12 @@ from ovibjax.runtime.precision import dot_general
 Params = dict[str, Any]
 """Parameters of the network: nested dictionaries of float32 arrays."""
 
+KINDS = ("dense", "linear", "completing")
+WAVES = {"sine": jnp.sin, "gelu": nn.gelu}
+
+_CORRECTION = 0.1
+"""Scale of what the networks add to the linear paths at the start."""
+
 
 @dataclass(frozen=True)
 class Architecture:
@@ -35,6 +53,12 @@ class Architecture:
         last_hidden: width d_h of the layer before the posterior-mean projection.
         head: hidden width of the edge localizer.
         logvar_bias: initial log-variance of the posterior; near zero the noise drowns the signal from the start.
+        kind: "dense", "linear" or "completing", see above.
+        rank: principal coordinates that the linear paths start from, at least K.
+        wave: first activation of the decoder of "linear" and "completing": "sine" or "gelu".
+
+    Raises:
+        ValueError: an unknown kind or wave, or a rank below K.
     """
 
     n_views: int = 5
@@ -44,6 +68,23 @@ class Architecture:
     last_hidden: int = 256
     head: int = 192
     logvar_bias: float = -4.0
+    kind: str = "dense"
+    rank: int = 128
+    wave: str = "sine"
+
+    def __post_init__(self) -> None:
+        """Refuse what the network cannot be."""
+        if self.kind not in KINDS:
+            raise ValueError(f"kind is one of {', '.join(KINDS)}, not {self.kind!r}")
+        if self.wave not in WAVES:
+            raise ValueError(f"wave is one of {', '.join(WAVES)}, not {self.wave!r}")
+        if self.linear and self.rank < self.latent:
+            raise ValueError(f"rank {self.rank} is below the latent dimension {self.latent}")
+
+    @property
+    def linear(self) -> bool:
+        """Whether encoder and decoder have linear paths."""
+        return self.kind != "dense"
 
 
 class OVIB(nn.Module):
@@ -62,19 +103,31 @@ class OVIB(nn.Module):
         arch = self.arch
         dense = partial(nn.Dense, dot_general=dot_general(self.precision))
         he = nn.initializers.he_normal()
+        # What is added to a linear path starts small.
+        scale = _CORRECTION**2 if arch.linear else 1.0
+        added_he, added = (
+            nn.initializers.variance_scaling(g * scale, "fan_in", "truncated_normal") for g in (2.0, 1.0)
+        )
         # The inputs of a joint layer are those of all views together.
         joint_he = nn.initializers.variance_scaling(2.0 / arch.n_views, "fan_in", "truncated_normal")
         views = range(arch.n_views)
         self.encoder_1 = [dense(arch.hidden, use_bias=False, kernel_init=joint_he) for _ in views]
         self.encoder_1_bias = self.param("encoder_1_bias", nn.initializers.zeros, (arch.hidden,))
-        self.encoder_2 = dense(arch.last_hidden, kernel_init=he)
+        self.encoder_2 = dense(arch.last_hidden, kernel_init=added_he)
+        if arch.linear:
+            zeros: dict[str, Any] = {"use_bias": False, "kernel_init": nn.initializers.zeros}
+            self.direct = [dense(arch.last_hidden, **zeros) for _ in views]
+            self.principal = [dense(arch.view_dim, **zeros) for _ in views]
         self.mean = dense(arch.latent)
         small = nn.initializers.variance_scaling(0.01, "fan_in", "normal")
         bias = nn.initializers.constant(arch.logvar_bias)
         self.logvar = dense(arch.latent, kernel_init=small, bias_init=bias)
         self.decoder_1 = dense(arch.last_hidden, kernel_init=he)
         self.decoder_2 = dense(arch.hidden, kernel_init=he)
-        self.descriptor = [dense(arch.view_dim) for _ in views]
+        if arch.kind == "completing":
+            self.completion = dense(arch.rank, kernel_init=added)
+        else:
+            self.descriptor = [dense(arch.view_dim, kernel_init=added) for _ in views]
         self.head_1 = [dense(arch.head, use_bias=False, kernel_init=joint_he) for _ in views]
         self.head_1_bias = self.param("head_1_bias", nn.initializers.zeros, (arch.head,))
         self.head_2 = nn.Dense(3)
@@ -82,13 +135,30 @@ class OVIB(nn.Module):
     def encode(self, views: Sequence[jax.Array]) -> tuple[jax.Array, jax.Array]:
         """Posterior mean and log-variance, each [B, K], of masked views, each [rows_v, r]."""
         hidden = _sum_rows([layer(x) for layer, x in zip(self.encoder_1, views, strict=True)])
-        hidden = nn.gelu(self.encoder_2(nn.gelu(hidden + self.encoder_1_bias[None])))
+        hidden = self.encoder_2(nn.gelu(hidden + self.encoder_1_bias[None]))
+        if self.arch.linear:
+            hidden = hidden + _sum_rows([layer(x) for layer, x in zip(self.direct, views, strict=True)])
+            # The width of the posterior is learnt by its own weights alone: through the linear path it would bend the
+            # principal directions that long prefixes rest on.
+            logvar = self.logvar(_CORRECTION * jax.lax.stop_gradient(hidden))
+            return self.mean(hidden), jnp.clip(logvar, -12.0, 6.0)
+        hidden = nn.gelu(hidden)
         return self.mean(hidden), jnp.clip(self.logvar(hidden), -12.0, 6.0)
 
-    def decode(self, z: jax.Array, rows: Sequence[int]) -> list[jax.Array]:
-        """Reconstructed views, each [rows_v, r], of a masked latent z [B, K]."""
-        hidden = nn.gelu(self.decoder_2(nn.gelu(self.decoder_1(z))))
-        return [layer(hidden[:count]) for layer, count in zip(self.descriptor, rows, strict=True)]
+    def decode(self, z: jax.Array, kept: jax.Array, rows: Sequence[int]) -> list[jax.Array]:
+        """Reconstructed views, each [rows_v, r], of a code z [B, K] of which the coordinates kept [B, K] were sent."""
+        arch, sent = self.arch, z * kept
+        wave = WAVES[arch.wave] if arch.linear else nn.gelu
+        hidden = nn.gelu(self.decoder_2(wave(self.decoder_1(sent))))
+        beyond = ((0, 0), (0, arch.rank - arch.latent if arch.linear else 0))
+        coordinates = jnp.pad(sent, beyond)
+        if arch.kind == "completing":
+            coordinates = coordinates + (1.0 - jnp.pad(kept, beyond)) * self.completion(hidden)
+            return [layer(coordinates[:count]) for layer, count in zip(self.principal, rows, strict=True)]
+        views = [layer(hidden[:count]) for layer, count in zip(self.descriptor, rows, strict=True)]
+        if arch.linear:
+            views = [view + layer(coordinates[: len(view)]) for view, layer in zip(views, self.principal, strict=True)]
+        return views
 
     def locate(self, views: Sequence[jax.Array]) -> jax.Array:
         """Standardised position [B, 3] regressed from a descriptor in views, each [rows_v, r]."""
@@ -96,8 +166,9 @@ class OVIB(nn.Module):
         return self.head_2(nn.gelu(hidden + self.head_1_bias[None]))
 
     def __call__(self, views: Sequence[jax.Array]) -> jax.Array:
-        """All three parts in a row, without noise; used to initialise."""
-        return self.locate(self.decode(self.encode(views)[0], [len(x) for x in views]))
+        """All three parts in a row, without noise and with every coordinate; used to initialise."""
+        z = self.encode(views)[0]
+        return self.locate(self.decode(z, jnp.ones_like(z), [len(x) for x in views]))
 
 
 def _sum_rows(parts: Sequence[jax.Array]) -> jax.Array:
@@ -144,18 +215,20 @@ def encode(params: Params, x: jax.Array, arch: Architecture) -> tuple[jax.Array,
     return cast(tuple[jax.Array, jax.Array], OVIB(arch).apply(params, split_views(x, arch), method="encode"))
 
 
-def decode(params: Params, z: jax.Array, arch: Architecture) -> jax.Array:
+def decode(params: Params, z: jax.Array, kept: jax.Array, arch: Architecture) -> jax.Array:
     """The descriptor that a received code stands for.
 
     Args:
         params: parameters of the network.
-        z: [B, K] code, zero beyond the prefix that was sent.
+        z: [B, K] code.
+        kept: [K] one where a coordinate was sent, zero where not; the prefix mask.
         arch: widths of the network (static).
 
     Returns:
         [B, M r] reconstructed features; the caller masks absent views.
     """
-    views = OVIB(arch).apply(params, z, [z.shape[0]] * arch.n_views, method="decode")
+    masks = jnp.broadcast_to(kept[None], z.shape)
+    views = OVIB(arch).apply(params, z, masks, [z.shape[0]] * arch.n_views, method="decode")
     return jnp.concatenate(cast(list[jax.Array], views), axis=1)
 
 
@@ -185,19 +258,21 @@ def dense_layers(params: Params) -> dict[str, dict[str, jax.Array]]:
         params: parameters of the network.
 
     Returns:
-        Per layer `kernel` [inputs, outputs] and `bias` [outputs].
+        Per layer `kernel` [inputs, outputs] and, but for the linear paths, `bias` [outputs].
     """
     tree = params["params"]
-    views = range(sum(name.startswith("descriptor_") for name in tree))
-    layers = {name: dict(tree[name]) for name in ("encoder_2", "mean", "logvar", "decoder_1", "decoder_2", "head_2")}
+    views = range(sum(name.startswith("head_1_") and name != "head_1_bias" for name in tree))
+    single = ("encoder_2", "mean", "logvar", "decoder_1", "decoder_2", "completion", "head_2")
+    layers = {name: dict(tree[name]) for name in single if name in tree}
     for name in ("encoder_1", "head_1"):
         kernel = jnp.concatenate([tree[f"{name}_{view}"]["kernel"] for view in views])
         layers[name] = {"kernel": kernel, "bias": tree[f"{name}_bias"]}
-    parts = [tree[f"descriptor_{view}"] for view in views]
-    layers["descriptor"] = {
-        "kernel": jnp.concatenate([part["kernel"] for part in parts], axis=1),
-        "bias": jnp.concatenate([part["bias"] for part in parts]),
-    }
+    if "direct_0" in tree:
+        layers["direct"] = {"kernel": jnp.concatenate([tree[f"direct_{view}"]["kernel"] for view in views])}
+    for name in ("principal", "descriptor"):
+        if f"{name}_0" in tree:
+            parts = [tree[f"{name}_{view}"] for view in views]
+            layers[name] = {key: jnp.concatenate([part[key] for part in parts], axis=-1) for key in parts[0]}
     return layers
 
 

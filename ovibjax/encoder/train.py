@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.encoder.epochs import Epoch, State, make_epoch, make_optimizer, schedule_of
+from ovibjax.encoder.linear_start import linear_start
 from ovibjax.encoder.loss import Batch, Hypers, composite_loss
 from ovibjax.encoder.model import Architecture, Params, init
 from ovibjax.views import MODES, modes_for
@@ -27,12 +28,13 @@ class TrainConfig:
 
     Attributes:
         arch: widths of the network.
-        prefixes: supported prefix lengths, sampled uniformly per example; one length makes a fixed-rate model.
+        prefixes: prefix lengths drawn per example, as often as they stand here; one length makes a fixed-rate model.
         modes: view modes trained on, in equal shares of every batch; all that the platform supports by default.
         prior: "gaussian" (scalable model) or "ard" (fixed-rate model).
         steps: optimizer steps, rounded up to whole epochs.
         batch: examples per step, at most the number of training examples.
         warmup: steps of linear warm-up before the cosine decay.
+        clip: norm that gradients are scaled down to; none if None.
         precision: type of the operands of the network's products, "float32" or "bfloat16".
     """
 
@@ -43,6 +45,7 @@ class TrainConfig:
     steps: int = 4000
     batch: int = 128
     warmup: int = 200
+    clip: float | None = None
     precision: str = "float32"
 
 
@@ -173,7 +176,7 @@ def epochs_of(
     n = data.x.shape[0]
     batch, per_epoch, epochs = schedule_of(static.steps, static.batch, n)
     epochs = -(-epochs // multiple) * multiple
-    optimizer = make_optimizer(hypers, static.warmup, epochs * per_epoch)
+    optimizer = make_optimizer(hypers, static.warmup, epochs * per_epoch, static.clip)
     rows = view_rows(static, batch)[1]
 
     def sample(count: jax.Array, index: jax.Array) -> Batch:
@@ -185,6 +188,6 @@ def epochs_of(
     def loss_of(params: Params, minibatch: Batch) -> tuple[jax.Array, dict[str, jax.Array]]:
         return composite_loss(params, minibatch, hypers, static.arch, static.prior, rows, static.precision)
 
-    params = init(key_init, static.arch)
+    params = linear_start(init(key_init, static.arch), data.x, static.arch)
     epoch = make_epoch(key_order, optimizer, sample, loss_of, n, (batch, per_epoch))
     return epoch, (params, optimizer.init(params)), epochs

@@ -71,7 +71,7 @@ def test_prefixes_match_the_protocol(params, member, mode, linear) -> None:
         def codec(x, keep=keep):
             if pca is not None:
                 return pca_reconstruct(pca, x, keep)
-            return decode(params, encode(params, x, ARCH)[0] * keep[None], ARCH)
+            return decode(params, encode(params, x, ARCH)[0], keep, ARCH)
 
         error = oracle(params, member, mask, codec, recode=linear)
         eta = float(judged.eta[i])

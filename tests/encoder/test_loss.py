@@ -1,5 +1,8 @@
 """The composite objective term by term against float64 NumPy, and what must not influence it."""
 
+import dataclasses
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -41,10 +44,10 @@ def network_parts(arch, params):
     """encode, decode and locate of one float64 vector through the product's network."""
 
     def one(part):
-        part = jax.jit(part, static_argnums=2)
+        part = jax.jit(part, static_argnames="arch")
 
-        def apply(row):
-            out = part(params, jnp.array(row[None], jnp.float32), arch)
+        def apply(row, *kept):
+            out = part(params, jnp.array(row[None], jnp.float32), *kept, arch=arch)
             return jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float64), out)
 
         return apply
@@ -53,7 +56,10 @@ def network_parts(arch, params):
 
 
 def numpy_parts(params):
-    return tuple(lambda row, part=part: part(params, row) for part in (oracle.encode, oracle.decode, oracle.locate))
+    def decode_sent(row, kept):
+        return oracle.decode(params, row, sent=int(kept.sum()))
+
+    return functools.partial(oracle.encode, params), decode_sent, functools.partial(oracle.locate, params)
 
 
 WEIGHTS = [
@@ -64,7 +70,7 @@ WEIGHTS = [
 
 
 @pytest.mark.parametrize("prior", ["gaussian", "ard"])
-@pytest.mark.parametrize("arch", [UAV, UGV])
+@pytest.mark.parametrize("arch", [UAV, UGV, dataclasses.replace(UAV, kind="completing", rank=11)])
 def test_every_term_and_the_weighted_sum_equal_the_oracle(arch, prior):
     params, batch = make_params(arch), random_batch(arch)
     w = np.asarray(params["params"]["mean"]["kernel"]).T

@@ -22,14 +22,18 @@ from ovibjax.encoder.model import (
 from tests.encoder.cases import QUICK, UAV, UGV, make_params, shapes_of
 from tests.oracles import encoder as oracle
 
-encode, decode, locate = (jax.jit(f, static_argnums=2) for f in (model.encode, model.decode, model.locate))
+encode, decode, locate = (jax.jit(f, static_argnames="arch") for f in (model.encode, model.decode, model.locate))
 
 
 def rows(n, width, seed=1):
     return np.random.default_rng(seed).normal(size=(n, width)).astype(np.float32)
 
 
-@pytest.mark.parametrize("arch", [UAV, UGV])
+LINEAR, COMPLETING = (dataclasses.replace(UAV, kind=kind, rank=11) for kind in ("linear", "completing"))
+KINDS = [UAV, UGV, LINEAR, COMPLETING, dataclasses.replace(COMPLETING, wave="gelu")]
+
+
+@pytest.mark.parametrize("arch", KINDS)
 def test_every_part_equals_the_numpy_forward_pass(arch):
     params, width = make_params(arch), arch.n_views * arch.view_dim
     x, z, descriptor = rows(9, width, 1), rows(9, arch.latent, 2), rows(9, width, 3)
@@ -38,9 +42,11 @@ def test_every_part_equals_the_numpy_forward_pass(arch):
     theirs = oracle.encode(params, x)
     np.testing.assert_allclose(mu, theirs[0], rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(logvar, theirs[1], rtol=1e-4, atol=1e-5)
-    decoded = decode(params, z, arch)
+    kept = jnp.asarray(np.arange(arch.latent) < 5, jnp.float32)
+    decoded = decode(params, z, kept, arch)
     assert decoded.shape == (9, width)
-    np.testing.assert_allclose(decoded, oracle.decode(params, z), rtol=1e-4, atol=1e-5)
+    wave = {"sine": np.sin, "gelu": oracle.gelu}[arch.wave]
+    np.testing.assert_allclose(decoded, oracle.decode(params, z, sent=5, wave=wave), rtol=1e-4, atol=1e-5)
     position = locate(params, descriptor, arch)
     assert position.shape == (9, 3)
     np.testing.assert_allclose(position, oracle.locate(params, descriptor), rtol=1e-4, atol=1e-5)
@@ -53,7 +59,7 @@ def test_the_whole_chain_is_its_parts_without_noise():
     np.testing.assert_allclose(position, oracle.locate(params, theirs), rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("arch", [UAV, UGV])
+@pytest.mark.parametrize("arch", KINDS[:4])
 def test_the_dense_layers_hold_the_kernels_of_the_views_in_feature_order(arch):
     params, r = make_params(arch), arch.view_dim
     tree, layers = params["params"], dense_layers(params)
@@ -64,8 +70,10 @@ def test_the_dense_layers_hold_the_kernels_of_the_views_in_feature_order(arch):
         block = slice(view * r, (view + 1) * r)
         for name in ("encoder_1", "head_1"):
             np.testing.assert_array_equal(layers[name]["kernel"][block], tree[f"{name}_{view}"]["kernel"])
-        np.testing.assert_array_equal(layers["descriptor"]["kernel"][:, block], tree[f"descriptor_{view}"]["kernel"])
-        np.testing.assert_array_equal(layers["descriptor"]["bias"][block], tree[f"descriptor_{view}"]["bias"])
+        for name in {"descriptor", "principal"} & set(layers):
+            np.testing.assert_array_equal(layers[name]["kernel"][:, block], tree[f"{name}_{view}"]["kernel"])
+        if "descriptor" in layers:
+            np.testing.assert_array_equal(layers["descriptor"]["bias"][block], tree[f"descriptor_{view}"]["bias"])
     for name in ("encoder_1", "head_1"):
         np.testing.assert_array_equal(layers[name]["bias"], tree[f"{name}_bias"])
         width = arch.hidden if name == "encoder_1" else arch.head
@@ -97,7 +105,7 @@ def test_rows_a_view_lacks_count_as_zeros(precision):
             [network.apply(params, views, method=part) for part in ("encode", "locate")] for views in (cut, zeroed)
         ]
         return [jax.tree.leaves(parts) for parts in joint], [
-            network.apply(params, z, rows, method="decode") for rows in (counts, (6,) * 5)
+            network.apply(params, z, jnp.ones_like(z), rows, method="decode") for rows in (counts, (6,) * 5)
         ]
 
     joint, (cut, whole) = parts(make_params(UAV), rows(6, 30), rows(6, UAV.latent))

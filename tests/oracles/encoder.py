@@ -102,6 +102,8 @@ def orthogonality(w):
 def composite_loss(batch, weights, prior, w, encode, decode, locate):
     """Eq. "composite_loss", example by example; `encode`, `decode`, `locate` map one vector each.
 
+    `decode` is also told which coordinates were sent.
+
     Units as documented with the product: squared feature error per view coordinate (divided by r).
     """
     size, _, width = batch["x"].shape
@@ -111,7 +113,7 @@ def composite_loss(batch, weights, prior, w, encode, decode, locate):
         x_s = batch["x"][n].reshape(-1) * over_coordinates
         mu, logvar = encode(x_s)
         z = batch["prefix_mask"][n] * (mu + np.exp(logvar) ** 0.5 * batch["noise"][n])
-        x_hat = decode(z) * over_coordinates
+        x_hat = decode(z, batch["prefix_mask"][n]) * over_coordinates
         y_hat = locate(x_hat)
         terms["reconstruction"] += ((x_s - x_hat) ** 2).sum() / width / size
         terms["localization"] += ((batch["y"][n] - y_hat) ** 2).sum() / size
@@ -133,17 +135,28 @@ def gelu(x):
 
 def encode(params, x, activation=gelu):
     """Mean and log-variance of the posterior."""
-    p = dense_layers(params)
-    hidden = activation(_dense(p["encoder_1"], np.asarray(x, np.float64)))
-    hidden = activation(_dense(p["encoder_2"], hidden))
-    return _dense(p["mean"], hidden), np.clip(_dense(p["logvar"], hidden), -12.0, 6.0)
+    p, x = dense_layers(params), np.asarray(x, np.float64)
+    hidden = _dense(p["encoder_2"], activation(_dense(p["encoder_1"], x)))
+    hidden = hidden + _dense(p["direct"], x) if "direct" in p else activation(hidden)
+    logvar = _dense(p["logvar"], 0.1 * hidden if "direct" in p else hidden)
+    return _dense(p["mean"], hidden), np.clip(logvar, -12.0, 6.0)
 
 
-def decode(params, z, activation=gelu):
-    """Descriptor of a latent."""
-    p = dense_layers(params)
-    hidden = activation(_dense(p["decoder_1"], np.asarray(z, np.float64)))
-    return _dense(p["descriptor"], activation(_dense(p["decoder_2"], hidden)))
+def decode(params, z, activation=gelu, sent=None, wave=np.sin):
+    """Descriptor of a latent of which the first `sent` coordinates came, all by default."""
+    p, z = dense_layers(params), np.array(z, np.float64)
+    sent = z.shape[-1] if sent is None else sent
+    z[..., sent:] = 0.0
+    hidden = (wave if "principal" in p else activation)(_dense(p["decoder_1"], z))
+    hidden = activation(_dense(p["decoder_2"], hidden))
+    if "principal" not in p:
+        return _dense(p["descriptor"], hidden)
+    coordinates = np.zeros((*z.shape[:-1], len(p["principal"]["kernel"])))
+    coordinates[..., : z.shape[-1]] = z
+    if "completion" not in p:
+        return _dense(p["descriptor"], hidden) + _dense(p["principal"], coordinates)
+    coordinates[..., sent:] = _dense(p["completion"], hidden)[..., sent:]
+    return _dense(p["principal"], coordinates)
 
 
 def locate(params, descriptor, activation=gelu):

@@ -1,0 +1,86 @@
+"""Networks that begin as principal component analysis, against NumPy's own decomposition."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ovibjax.encoder import model
+from ovibjax.encoder.linear_start import linear_start, principal_axes
+from ovibjax.encoder.loss import make_hypers
+from ovibjax.encoder.orthogonality import orthogonality_penalty
+from ovibjax.encoder.train import TrainConfig, fit
+from tests.encoder.cases import UAV, make_data
+
+COMPLETING = dataclasses.replace(UAV, kind="completing", rank=20, last_hidden=20)
+
+
+def untrained(arch):
+    """A network at its start, its corrections taken away: what is left is linear."""
+    params = linear_start(model.init(jax.random.key(0), arch), make_data().x, arch)
+    tree = dict(params["params"])
+    for name in ("encoder_2", "completion", *(f"descriptor_{view}" for view in range(5))):
+        if name in tree:
+            tree[name] = jax.tree.map(jnp.zeros_like, tree[name])
+    return {"params": tree}
+
+
+def test_the_axes_are_the_principal_directions_with_a_fixed_sign():
+    x = np.asarray(make_data().x).reshape(64, -1)
+    values, vectors = np.linalg.eigh(x.T.astype(np.float64) @ x)
+    ours = np.asarray(principal_axes(jnp.asarray(x), 40))
+    np.testing.assert_allclose(ours[:, :30].T @ ours[:, :30], np.eye(30), atol=1e-5)
+    np.testing.assert_array_equal(ours[:, 30:], 0.0)
+    leading = values[::-1][:3]
+    np.testing.assert_allclose(np.linalg.norm(x @ ours[:, :3], axis=0) ** 2, leading, rtol=1e-4)
+    np.testing.assert_allclose(np.abs((ours[:, :3] * vectors[:, ::-1][:, :3]).sum(axis=0)), 1.0, atol=1e-4)
+    assert (np.take_along_axis(ours, np.abs(ours).argmax(axis=0)[None], axis=0)[:, :30] > 0).all()
+
+
+@pytest.mark.parametrize("kind", ["linear", "completing"])
+@pytest.mark.parametrize("k", [1, 5, 8])
+def test_without_corrections_the_code_is_pca(kind, k):
+    arch = dataclasses.replace(COMPLETING, kind=kind)
+    x = make_data().x.reshape(64, -1)
+    axes = principal_axes(x, k)
+    params, kept = untrained(arch), jnp.asarray(np.arange(8) < k, jnp.float32)
+    decoded = model.decode(params, model.encode(params, x, arch)[0], kept, arch)
+    np.testing.assert_allclose(decoded, x @ axes @ axes.T, atol=2e-5)
+    assert float(orthogonality_penalty(model.mean_projection(params))) == 0.0
+
+
+def test_every_coordinate_that_came_is_kept_and_every_other_is_predicted():
+    params = linear_start(model.init(jax.random.key(1), COMPLETING), make_data().x, COMPLETING)
+    z = jax.random.normal(jax.random.key(2), (6, 8))
+    axes = principal_axes(make_data().x.reshape(64, -1), 20)
+    for k in (2, 8):
+        kept = jnp.asarray(np.arange(8) < k, jnp.float32)
+        coordinates = model.decode(params, z, kept, COMPLETING) @ axes
+        np.testing.assert_allclose(coordinates[:, :k], z[:, :k], atol=1e-5)
+        assert float(jnp.abs(coordinates[:, k:]).min(axis=0).max()) > 1e-4
+    # What was not sent has no part in it.
+    other = z.at[:, 2:].add(3.0)
+    kept = jnp.asarray(np.arange(8) < 2, jnp.float32)
+    decoded = (model.decode(params, code, kept, COMPLETING) for code in (z, other))
+    np.testing.assert_array_equal(*decoded)
+
+
+def test_training_begins_there_and_clips():
+    static = TrainConfig(arch=COMPLETING, prefixes=(2, 8), steps=4, batch=16, clip=1e-8)
+    params, _ = jax.jit(fit, static_argnums=3)(jax.random.key(0), make_hypers(weight_decay=0.0), make_data(), static)
+    start = linear_start(model.init(jax.random.split(jax.random.key(0), 3)[0], COMPLETING), make_data().x, COMPLETING)
+    moved = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), params, start)
+    assert 0.0 < max(jax.tree.leaves(moved)) < 0.02
+
+
+def test_a_dense_network_is_left_as_it_is():
+    params = model.init(jax.random.key(0), UAV)
+    assert linear_start(params, make_data().x, UAV) is params
+
+
+@pytest.mark.parametrize("wrong", [{"kind": "deep"}, {"wave": "cosine"}, {"kind": "linear", "rank": 7}])
+def test_impossible_networks_are_refused(wrong):
+    with pytest.raises(ValueError, match=str(next(iter(wrong))) if "rank" not in wrong else "rank 7"):
+        dataclasses.replace(UAV, **wrong)
