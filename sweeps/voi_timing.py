@@ -63,8 +63,7 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
             if low
             else "no request was sent",
             25.0,
-            # Where nothing was sent, nothing was delayed.
-            np.array(all_slots) - np.array(low) if low else [0.0],
+            np.array(all_slots) - np.array(low),
             rule="at most half of the share that random timing would put there, whole 95 % interval",
         )
     ]

@@ -150,15 +150,15 @@ class OVIB(nn.Module):
         arch, sent = self.arch, z * kept
         wave = WAVES[arch.wave] if arch.linear else nn.gelu
         hidden = nn.gelu(self.decoder_2(wave(self.decoder_1(sent))))
-        beyond = ((0, 0), (0, arch.rank - arch.latent if arch.linear else 0))
+        if not arch.linear:
+            return _per_view(self.descriptor, hidden, rows)
+        beyond = ((0, 0), (0, arch.rank - arch.latent))
         coordinates = jnp.pad(sent, beyond)
         if arch.kind == "completing":
             coordinates = coordinates + (1.0 - jnp.pad(kept, beyond)) * self.completion(hidden)
-            return [layer(coordinates[:count]) for layer, count in zip(self.principal, rows, strict=True)]
-        views = [layer(hidden[:count]) for layer, count in zip(self.descriptor, rows, strict=True)]
-        if arch.linear:
-            views = [view + layer(coordinates[: len(view)]) for view, layer in zip(views, self.principal, strict=True)]
-        return views
+            return _per_view(self.principal, coordinates, rows)
+        straight = _per_view(self.principal, coordinates, rows)
+        return [a + b for a, b in zip(_per_view(self.descriptor, hidden, rows), straight, strict=True)]
 
     def locate(self, views: Sequence[jax.Array]) -> jax.Array:
         """Standardised position [B, 3] regressed from a descriptor in views, each [rows_v, r]."""
@@ -169,6 +169,11 @@ class OVIB(nn.Module):
         """All three parts in a row, without noise and with every coordinate; used to initialise."""
         z = self.encode(views)[0]
         return self.locate(self.decode(z, jnp.ones_like(z), [len(x) for x in views]))
+
+
+def _per_view(layers: Sequence[nn.Dense], hidden: jax.Array, rows: Sequence[int]) -> list[jax.Array]:
+    """A layer per view on the first rows_v rows: [rows_v, r] each."""
+    return [layer(hidden[:count]) for layer, count in zip(layers, rows, strict=True)]
 
 
 def _sum_rows(parts: Sequence[jax.Array]) -> jax.Array:

@@ -62,9 +62,11 @@ def interval(values: Seeds) -> Interval:
         values: one number per seed.
 
     Returns:
-        The interval.
+        The interval; its mean is not a number where there is no seed, and every verdict on that is "not held".
     """
     array = np.asarray(values, np.float64)
+    if len(array) == 0:
+        return Interval(float("nan"), float("inf"))
     if len(array) < 2:
         return Interval(float(array.mean()), float("inf"))
     t = float(stdtrit(len(array) - 1, 0.975))
@@ -189,21 +191,21 @@ class Claim:
 
 def below(value: Interval, limit: float) -> str:
     """Verdict on `value <= limit`: held if the whole interval lies below, held on average if the mean does."""
-    if value.mean > limit:
+    if not value.mean <= limit:
         return NOT_HELD
     return HELD if value.high <= limit else ON_AVERAGE
 
 
 def above(value: Interval, limit: float) -> str:
     """Verdict on `value >= limit`, as `below`."""
-    if value.mean < limit:
+    if not value.mean >= limit:
         return NOT_HELD
     return HELD if value.low >= limit else ON_AVERAGE
 
 
 def positive(value: Interval) -> str:
     """Verdict on `value > 0`, as `above` but strict: no difference at all is not a difference."""
-    if value.mean <= 0:
+    if not value.mean > 0:
         return NOT_HELD
     return HELD if value.low > 0 else ON_AVERAGE
 

@@ -10,18 +10,15 @@ from ovibjax.edge.localize import ETAS
 from ovibjax.encoder.model import Architecture, decode, encode, init, locate
 from ovibjax.encoder.pca import fit_pca, pca_reconstruct
 from ovibjax.encoder.training_data import member_data
-from ovibjax.features.frames import make_feature_set
 from ovibjax.views import mode_mask
+from tests.encoder.cases import smooth_frames
 
 ARCH = Architecture(n_views=4, view_dim=6, latent=8, hidden=16, last_hidden=12, head=8)
 
 
 @pytest.fixture(scope="module")
 def feature_set():
-    rng = np.random.default_rng(0)
-    position = rng.uniform(-40, 40, (260, 3)).astype(np.float32)
-    features = np.tanh(position @ rng.normal(size=(3, 4 * 9)) / 30).reshape(260, 4, 9) + 0.02
-    return make_feature_set(features, position)
+    return smooth_frames()
 
 
 @pytest.fixture(scope="module")

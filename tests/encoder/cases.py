@@ -11,6 +11,7 @@ import numpy as np
 from ovibjax.encoder.loss import Batch, composite_loss
 from ovibjax.encoder.model import Architecture, init
 from ovibjax.encoder.train import TrainData, fit, view_rows
+from ovibjax.features.frames import make_feature_set
 from tests.oracles import encoder as oracle
 from tests.runtime.cases import QUICK
 
@@ -45,6 +46,14 @@ def make_data(n_views=5, n=64, seed=0):
     x = np.tanh(np.einsum("nk,kmr->nmr", y, rng.normal(size=(3, n_views, 6))))
     x = (x - x.mean(axis=0)) / x.std()
     return TrainData(jnp.array(x, jnp.float32), jnp.array(y))
+
+
+def smooth_frames():
+    """260 frames of four views whose features change smoothly with the position."""
+    rng = np.random.default_rng(0)
+    position = rng.uniform(-40, 40, (260, 3)).astype(np.float32)
+    features = np.tanh(position @ rng.normal(size=(3, 4 * 9)) / 30).reshape(260, 4, 9) + 0.02
+    return make_feature_set(features, position)
 
 
 def stack(*hypers):

@@ -5,16 +5,13 @@ import numpy as np
 import pytest
 
 from ovibjax.encoder.training_data import member_data
-from ovibjax.features.frames import make_feature_set
 from ovibjax.features.splits import split_indices
+from tests.encoder.cases import smooth_frames
 
 
 @pytest.fixture(scope="module")
 def feature_set():
-    rng = np.random.default_rng(0)
-    position = rng.uniform(-40, 40, (260, 3)).astype(np.float32)
-    features = np.tanh(position @ rng.normal(size=(3, 4 * 9)) / 30).reshape(260, 4, 9) + 0.02
-    return make_feature_set(features, position)
+    return smooth_frames()
 
 
 def test_nothing_is_fitted_on_held_out_frames(feature_set) -> None:

@@ -102,6 +102,14 @@ def test_within_looks_both_ways() -> None:
     assert claim("within", 0.1, SEEDS, rule="r") == NOT_HELD == near_zero(interval(-SEEDS), 0.1)
 
 
+@pytest.mark.parametrize("nothing", [[], [np.nan, np.nan, np.nan]])
+def test_what_was_not_measured_is_not_held(nothing) -> None:
+    values = np.array(nothing)
+    assert claim("above_zero", values) == NOT_HELD
+    assert claim("at_most", 1.0, values, rule="r") == NOT_HELD == claim("at_least", 1.0, values, rule="r")
+    assert claim("within", 1.0, values, rule="r") == NOT_HELD
+
+
 def test_facts_and_reports() -> None:
     assert claim("true", True, "r") == HELD and claim("true", False, "r") == NOT_HELD
     assert claim("reported", "r") == REPORTED
