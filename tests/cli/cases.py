@@ -26,6 +26,17 @@ def ovibjax(
     return subprocess.run(command, capture_output=True, text=True, env={**env, **known}, cwd=cwd, timeout=timeout)
 
 
+def done_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """What a command prints as it succeeds; run here, without the seconds that a new process takes."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "argv", ["ovibjax", *map(str, arguments)])
+    try:
+        main()
+    except SystemExit as left:  # as `--help` ends
+        assert left.code == 0
+    return capsys.readouterr().out
+
+
 def said_of_bad_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """What a command says as it ends with exit code 2; run here, without the seconds that a new process takes."""
     monkeypatch.setattr(sys, "argv", ["ovibjax", *map(str, arguments)])

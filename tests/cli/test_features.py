@@ -1,4 +1,4 @@
-"""The features command in a process of its own: somebody's images to a feature file, and bad input in one line."""
+"""The features command: somebody's images to a feature file, and bad input in one line."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import pytest
 from ovibjax.features.backbones.by_name import open_backbone
 from ovibjax.features.feature_files import load
 from ovibjax.features.images.decoding import decode_image
-from tests.cli.cases import ovibjax
+from tests.cli.cases import done_here, ovibjax, said_of_bad_input
 from tests.features.images.made_images import pack, write, write_layout, write_table
 
 
@@ -46,18 +46,24 @@ def test_a_table_becomes_a_feature_file(tmp_path: Path) -> None:
         (("town", "--out", "x.npz", "--imagse", "a"), "did you mean --images?"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+def test_bad_input_is_one_line_and_exit_code_2(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    words: str,
+) -> None:
     write_layout(tmp_path / "town", 2)
     whole = pack(tmp_path / "town", tmp_path / "cut.tar").read_bytes()
     write(tmp_path / "cut.tar", whole[:4000])
     (tmp_path / "town/rgb/Back/000001.png").unlink()
-    done = ovibjax("features", *arguments, cwd=tmp_path)
-    assert done.returncode == 2 and words in done.stderr, done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1 and "Traceback" not in done.stderr, done.stderr
+    monkeypatch.chdir(tmp_path)
+    said = said_of_bad_input(monkeypatch, capsys, "features", *arguments)
+    assert words in said and len(said.strip().splitlines()) == 1, said
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cut.tar", "town"]
 
 
-def test_help_teaches(tmp_path: Path) -> None:
-    done = ovibjax("features", "--help", cwd=tmp_path)
+def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    said = done_here(monkeypatch, capsys, "features", "--help")
     for words in ("frame,x_m,y_m,z_m,yaw_deg", "rgb/<Camera>/<frame>.png", "--strict", "images/{view}/{frame}.jpg"):
-        assert words in done.stdout, words
+        assert words in said, words

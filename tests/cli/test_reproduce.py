@@ -12,7 +12,8 @@ import pytest
 
 from ovibjax.features.feature_files import save
 from ovibjax.features.frames import make_feature_set
-from tests.cli.cases import ovibjax, said_of_bad_input
+from tests.cli.cases import done_here, ovibjax, said_of_bad_input
+from tests.ctrl_c import ctrl_c_interrupts
 
 
 def test_bad_input_is_one_line_and_exit_code_2(
@@ -56,18 +57,26 @@ def test_bad_input_is_one_line_and_exit_code_2(
 
 
 def test_interrupt_ends_in_one_line(tmp_path: Path) -> None:
-    environment = {**os.environ, "OVIBJAX_CACHE": str(tmp_path / "cache")}
+    compiled = tmp_path / "compiled"
+    environment = {**os.environ, "OVIBJAX_CACHE": str(tmp_path / "cache"), "JAX_COMPILATION_CACHE_DIR": str(compiled)}
+    environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     command = [sys.executable, "-m", "ovibjax", "reproduce", "--preset", "quick"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path) as process:
-        time.sleep(12)
+    with ctrl_c_interrupts():
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, cwd=tmp_path)
+    with process:
+        until = time.monotonic() + 180
+        while not (compiled.exists() and any(compiled.iterdir())):  # at work: it has compiled its first program
+            assert process.poll() is None and time.monotonic() < until
+            time.sleep(0.05)
         process.send_signal(signal.SIGINT)
         _, stderr = process.communicate(timeout=180)
     assert process.returncode == 130, stderr
     assert "Traceback" not in stderr and "interrupted" in stderr
 
 
-def test_help_teaches(tmp_path: Path) -> None:
-    for command in ((), ("reproduce",), ("town",)):
-        done = ovibjax(*command, "--help", cwd=tmp_path, timeout=180)
-        assert done.returncode == 0 and len(done.stdout) > 200
-    assert "quick" in ovibjax("reproduce", "--help", cwd=tmp_path).stdout
+def test_help_teaches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    done = ovibjax("--help", cwd=tmp_path, timeout=180)
+    assert done.returncode == 0 and len(done.stdout) > 200
+    for command in ("reproduce", "town"):
+        said = done_here(monkeypatch, capsys, command, "--help")
+        assert len(said) > 200 and ("quick" in said or command == "town")

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from ovibjax.sweep.store import open_dataset
-from tests.cli.cases import ovibjax, said_of_bad_input
+from tests.cli.cases import done_here, ovibjax, said_of_bad_input
+from tests.ctrl_c import ctrl_c_interrupts
 
 AXES = ("--gamma", "0", "0.1", "--beta", "1e-3", "--seed", "0:2", "--prefix", "4", "8", "--latent", "8")
 
@@ -58,16 +59,14 @@ def test_every_point_is_trained_and_judged(store):
     assert (dataset.loss.isel(gamma=0) != dataset.loss.isel(gamma=1)).all()
 
 
-def test_show_prints_a_table_and_writes_csv_and_plot(store, tmp_path):
+def test_show_prints_a_table_and_writes_csv_and_plot(store, tmp_path, monkeypatch, capsys):
     shown = ovibjax("show", store, "--metric", "test_mean_m", "--where", "prefix=8")
     assert shown.returncode == 0 and "test_mean_m" in shown.stdout and "0.1" in shown.stdout
-    assert ovibjax("show", store, "--csv", tmp_path / "a" / "mine.csv").returncode == 0
+    done_here(monkeypatch, capsys, "show", store, "--csv", tmp_path / "a" / "mine.csv")
     rows = list(csv.DictReader((tmp_path / "a" / "mine.csv").read_text().splitlines()))
     assert len(rows) == 2 * 2 * 2 and {float(row["gamma"]) for row in rows} == {0.0, 0.1}
-    plotted = ovibjax(
-        "show", store, "--metric", "test_mean_m", "--plot", "gamma", "--hue", "prefix", "--out", tmp_path / "p.png"
-    )
-    assert plotted.returncode == 0, plotted.stderr
+    plot = ("--metric", "test_mean_m", "--plot", "gamma", "--hue", "prefix", "--out", tmp_path / "p.png")
+    done_here(monkeypatch, capsys, "show", store, *plot)
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -106,7 +105,8 @@ def test_ctrl_c_keeps_finished_members_and_the_same_command_goes_on(features, tm
     out = tmp_path / "long.zarr"
     arguments = ("sweep", "train", *AXES, "--seed", "0:8", "--steps", "1500", "--batch", "32")
     command = [sys.executable, "-m", "ovibjax", *arguments, "--data", features, "--out", out]
-    running = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
+    with ctrl_c_interrupts():
+        running = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 200
     while not (out.exists() and len(list((out / "finished").glob("c.*"))) >= 2):
         assert time.monotonic() < deadline and running.poll() is None

@@ -15,6 +15,7 @@ import numpy as np
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.store import open_dataset
 from ovibjax.sweep.work import Along
+from tests.ctrl_c import ctrl_c_interrupts
 
 ROOT = Path(__file__).parents[2]
 
@@ -123,15 +124,11 @@ def start(code, *arguments, devices=1, hash_seed="random"):
         "XLA_FLAGS": with_devices(devices),
         "PYTHONHASHSEED": hash_seed,
     }
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        text=True,
-        env=environment,
-        cwd=ROOT,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with ctrl_c_interrupts():
+        return subprocess.Popen(
+            [sys.executable, "-c", code, *map(str, arguments)], text=True, env=environment, cwd=ROOT, **pipes
+        )
 
 
 def finish(process):

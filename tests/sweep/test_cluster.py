@@ -20,6 +20,7 @@ from ovibjax.sweep import cluster, worker
 from ovibjax.sweep.cluster import on_ray
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.store import open_dataset
+from tests.ctrl_c import ctrl_c_interrupts
 from tests.sweep.members import with_devices
 
 ray = pytest.importorskip("ray")
@@ -226,7 +227,9 @@ def test_killed_and_interrupted_driver(tmp_path):
     command = [sys.executable, tmp_path / "script.py", tmp_path / "a.zarr"]
     environment = {**os.environ, "XLA_FLAGS": with_devices(2)}
     for end in (signal.SIGKILL, signal.SIGINT, None):
-        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        with ctrl_c_interrupts():
+            pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+            process = subprocess.Popen(command, env=environment, text=True, **pipes)
         if end is not None:
             for _ in range(3):  # what was there, and two chunks more
                 assert process.stdout.readline(), process.stderr.read()

@@ -87,7 +87,7 @@ def killed_and_resumed(folder, kills, steps, seed):
 
 
 def test_killed_3_times_gives_the_same_bits(tmp_path):
-    killed_and_resumed(tmp_path, 3, 9000, 1)
+    killed_and_resumed(tmp_path, 3, 4000, 1)
 
 
 @pytest.mark.long
@@ -142,18 +142,18 @@ def test_finished_sweep_computes_nothing(tmp_path):
 def test_two_processes_on_one_store(tmp_path):
     path = tmp_path / "a.zarr"
     code = "import sys\nfrom tests.sweep.members import sweep\n"
-    code += "sweep(sys.argv[1], 5000, on_progress=lambda *n: print(*n, flush=True))"
+    code += "sweep(sys.argv[1], 2500, on_progress=lambda *n: print(*n, flush=True))"
     process = start(code, path)
     for line in process.stdout:
         if int(line.split()[0]) >= 3:
             break
     with pytest.raises(InputError) as caught:
-        sweep(path, 5000)
+        sweep(path, 2500)
     assert f"process {process.pid} on host " in str(caught.value)
     assert "already working on this sweep" in str(caught.value)
     assert process.poll() is None, "the first was still at it"
     assert finish(process).split("\n")[-2] == "64 64"
-    same(sweep(path, 5000), sweep(None, 5000))  # the lock is free again
+    same(sweep(path, 2500), sweep(None, 2500))  # the lock is free again
 
 
 def noisy(key, point, shared):
