@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from ovibjax.cards.indoor_paper import PAPER
 from ovibjax.cards.indoor_study import RECALL_M, PlatformResults, repetitions, room_config
-from ovibjax.encoder.train import PAPER_PREFIXES
+from ovibjax.encoder.recipe import PAPER_PREFIXES
 from ovibjax.link.payload import representation_bytes
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import interval

@@ -12,7 +12,8 @@ from ovibjax.cards.job import Sweep
 from ovibjax.edge.indoor import DIMS, Protocol
 from ovibjax.edge.indoor_data import scene_data
 from ovibjax.encoder.model import Architecture
-from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
+from ovibjax.encoder.recipe import PAPER_PREFIXES
+from ovibjax.encoder.train import TrainConfig
 from ovibjax.features.frames import FeatureSet
 from ovibjax.link.payload import representation_bytes
 from ovibjax.report.claims import Interval, interval

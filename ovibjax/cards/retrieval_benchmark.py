@@ -17,7 +17,7 @@ from ovibjax.edge.index import build_index
 from ovibjax.edge.pruning import Asked, Pruning, judge_pruning
 from ovibjax.encoder.checkpoint import CheckpointConfig, train_checkpoint
 from ovibjax.encoder.model import decode, encode
-from ovibjax.encoder.train import PAPER_PREFIXES
+from ovibjax.encoder.recipe import PAPER_PREFIXES
 from ovibjax.features.basis import project
 from ovibjax.features.frames import FeatureSet
 from ovibjax.world.town.feature_set import town_features

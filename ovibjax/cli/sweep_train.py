@@ -33,7 +33,7 @@ class SweepTrain:
     """Weights of the orthogonality penalty."""
     alpha: tuple[str, ...] = ("1",)
     """Weights of the localization term."""
-    lr: tuple[str, ...] = ("2e-3",)
+    lr: tuple[str, ...] = ("4e-3",)
     """Peak learning rates."""
     weight_decay: tuple[str, ...] = ("1e-4",)
     """Weight decays of AdamW."""
@@ -45,8 +45,8 @@ class SweepTrain:
     """Prefix lengths to judge at (costs no training)."""
     mode: tuple[str, ...] = ("all",)
     """View modes to judge in: F FS H4 A5; all: every view of the platform."""
-    steps: int = 4000
-    """Training steps, rounded up to whole epochs; 8000 for results to publish."""
+    steps: int | None = None
+    """Training steps, rounded up to whole epochs; by default 75 epochs, at least 400 and at most 10000 steps."""
     batch: int = 128
     """Examples per step."""
     latent: int = 128
@@ -106,7 +106,8 @@ class SweepTrain:
         from ovibjax.cards.loading import load_features
         from ovibjax.edge.member import DIMS, UNITS, TrainAndJudge
         from ovibjax.encoder.model import Architecture
-        from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig
+        from ovibjax.encoder.recipe import training_prefixes
+        from ovibjax.encoder.train import TrainConfig
         from ovibjax.encoder.training_data import member_data
         from ovibjax.sweep.engine import run
         from ovibjax.sweep.work import Along
@@ -124,8 +125,13 @@ class SweepTrain:
                 members.append(member_data(features, seed, self.rank or None)[0])
                 update(i)
         static = TrainConfig(
-            arch=Architecture(n_views=n_views, view_dim=members[0].train.x.shape[2], latent=self.latent),
-            prefixes=(*(k for k in PAPER_PREFIXES if k < self.latent), self.latent),
+            arch=Architecture(
+                n_views=n_views,
+                view_dim=members[0].train.x.shape[2],
+                latent=self.latent,
+                rank=max(Architecture.rank, self.latent),
+            ),
+            prefixes=training_prefixes(self.latent),
             prior=self.prior,
             steps=self.steps,
             batch=self.batch,

@@ -1,4 +1,4 @@
-"""The loop that trains a network: epochs of minibatches in random order, AdamW with warm-up and cosine decay.
+"""The loop that trains a network: epochs of minibatches in random order, AdamW with warm-up and linear decay.
 
 It is shared by O-VIB and by the attention baseline, so that a comparison of them is one of models.
 """
@@ -12,6 +12,7 @@ import optax
 
 from ovibjax.encoder.loss import Hypers
 from ovibjax.encoder.model import Params
+from ovibjax.encoder.recipe import training_steps
 
 State = tuple[Params, Any]
 """Parameters and the optimizer's state."""
@@ -23,7 +24,7 @@ Epoch = Callable[[State, jax.Array], tuple[State, dict[str, jax.Array]]]
 def make_optimizer(
     hypers: Hypers, warmup: int, total_steps: int, clip: float | None = None
 ) -> optax.GradientTransformation:
-    """AdamW with linear warm-up and cosine decay; its numbers are leaves, so that they can be swept.
+    """AdamW with linear warm-up and linear decay to zero; its numbers are leaves, so that they can be swept.
 
     Args:
         hypers: `lr`, the peak learning rate, and `weight_decay`.
@@ -39,16 +40,17 @@ def make_optimizer(
     def schedule(count: jax.Array) -> jax.Array:
         step = jnp.asarray(count).astype(jnp.float32)
         rise = (step + 1.0) / warmup
-        fall = jnp.clip((step - warmup) / max(total_steps - warmup, 1), 0.0, 1.0)
-        return hypers.lr * jnp.minimum(rise, 0.5 * (1.0 + jnp.cos(jnp.pi * fall)))
+        left = jnp.clip((total_steps - step) / max(total_steps - warmup, 1), 0.0, 1.0)
+        return hypers.lr * jnp.minimum(rise, left)
 
     adamw = optax.adamw(schedule, weight_decay=hypers.weight_decay)
     return adamw if clip is None else optax.chain(optax.clip_by_global_norm(clip), adamw)
 
 
-def schedule_of(steps: int, batch: int, n: int) -> tuple[int, int, int]:
-    """Whole epochs: examples per step, steps per epoch, epochs, for n training examples."""
+def schedule_of(steps: int | None, batch: int, n: int) -> tuple[int, int, int]:
+    """Whole epochs: examples per step, steps per epoch, epochs, for n training examples; `recipe`'s length if None."""
     size = min(batch, n)
+    steps = training_steps(n, batch) if steps is None else steps
     return size, n // size, -(-steps // (n // size))
 
 

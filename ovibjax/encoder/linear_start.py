@@ -1,4 +1,6 @@
-"""A network that begins as principal component analysis: where the linear paths of encoder and decoder start."""
+"""A network that begins as principal component analysis: its linear paths, and where they start."""
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,3 +44,19 @@ def principal_axes(x: jax.Array, count: int) -> jax.Array:
     vectors = jnp.linalg.eigh(x.T @ x / x.shape[0])[1][:, ::-1][:, :count]
     largest = jnp.take_along_axis(vectors, jnp.argmax(jnp.abs(vectors), axis=0)[None], axis=0)
     return jnp.pad(vectors * jnp.sign(largest), ((0, 0), (0, count - vectors.shape[1])))
+
+
+def linear_paths(params: Params) -> Any:
+    """Which parameters belong to the linear paths of encoder and decoder.
+
+    Args:
+        params: parameters of a network with linear paths, or their gradients.
+
+    Returns:
+        A tree of the same structure: true for L, W and D.
+    """
+
+    def belongs(path: Any, _: jax.Array) -> bool:
+        return str(path[1].key).startswith(("direct_", "principal_", "mean"))
+
+    return jax.tree_util.tree_map_with_path(belongs, params)

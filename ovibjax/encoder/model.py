@@ -68,7 +68,7 @@ class Architecture:
     last_hidden: int = 256
     head: int = 192
     logvar_bias: float = -4.0
-    kind: str = "dense"
+    kind: str = "completing"
     rank: int = 128
     wave: str = "sine"
 

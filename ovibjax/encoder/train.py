@@ -11,15 +11,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 
 from ovibjax.encoder.epochs import Epoch, State, make_epoch, make_optimizer, schedule_of
-from ovibjax.encoder.linear_start import linear_start
+from ovibjax.encoder.linear_start import linear_paths, linear_start
 from ovibjax.encoder.loss import Batch, Hypers, composite_loss
 from ovibjax.encoder.model import Architecture, Params, init
+from ovibjax.encoder.recipe import training_prefixes
 from ovibjax.views import MODES, modes_for
-
-PAPER_PREFIXES = (4, 8, 16, 32, 64, 96, 128)
-"""Supported prefix lengths of the scalable encoder (paper, Section "Experimental Setup")."""
 
 
 @dataclass(frozen=True)
@@ -31,21 +30,24 @@ class TrainConfig:
         prefixes: prefix lengths drawn per example, as often as they stand here; one length makes a fixed-rate model.
         modes: view modes trained on, in equal shares of every batch; all that the platform supports by default.
         prior: "gaussian" (scalable model) or "ard" (fixed-rate model).
-        steps: optimizer steps, rounded up to whole epochs.
+        steps: optimizer steps, rounded up to whole epochs; by the number of examples if None (`recipe`).
         batch: examples per step, at most the number of training examples.
-        warmup: steps of linear warm-up before the cosine decay.
+        warmup: steps of linear warm-up before the linear decay.
         clip: norm that gradients are scaled down to; none if None.
+        linear_lr: learning rate of the linear paths, as a share of the others': they start where they should be, and
+            long prefixes rest on them.
         precision: type of the operands of the network's products, "float32" or "bfloat16".
     """
 
     arch: Architecture = field(default_factory=Architecture)
-    prefixes: tuple[int, ...] = PAPER_PREFIXES
+    prefixes: tuple[int, ...] = field(default_factory=training_prefixes)
     modes: tuple[str, ...] | None = None
     prior: str = "gaussian"
-    steps: int = 4000
+    steps: int | None = None
     batch: int = 128
     warmup: int = 200
-    clip: float | None = None
+    clip: float | None = 1.0
+    linear_lr: float = 0.05
     precision: str = "float32"
 
 
@@ -177,6 +179,8 @@ def epochs_of(
     batch, per_epoch, epochs = schedule_of(static.steps, static.batch, n)
     epochs = -(-epochs // multiple) * multiple
     optimizer = make_optimizer(hypers, static.warmup, epochs * per_epoch, static.clip)
+    if static.arch.linear:
+        optimizer = optax.chain(optimizer, optax.masked(optax.scale(static.linear_lr), linear_paths))
     rows = view_rows(static, batch)[1]
 
     def sample(count: jax.Array, index: jax.Array) -> Batch:

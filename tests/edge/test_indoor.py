@@ -54,8 +54,8 @@ def estimates(learned, x, rows, mode, k):
     references, params = scene()[0], learned.params
     wide = np.repeat(np.asarray(mode_mask(mode, 4)), 6)
     flat = np.asarray(x).reshape(len(x), -1) * wide
-    z = np.asarray(encode(params, jnp.asarray(flat), ARCH)[0]) * (np.arange(8) < k)
-    descriptor = np.asarray(decode(params, jnp.asarray(z), jnp.ones(8), ARCH)) * wide
+    z, kept = encode(params, jnp.asarray(flat), ARCH)[0], jnp.asarray(np.arange(8) < k, jnp.float32)
+    descriptor = np.asarray(decode(params, z, kept, ARCH)) * wide
     y = np.asarray(locate(params, jnp.asarray(descriptor), ARCH))
     reg = y * float(references.standardizer.scale_m) + np.asarray(references.standardizer.mean_m)
     database = np.asarray(references.x)[rows].reshape(len(rows), -1) * wide

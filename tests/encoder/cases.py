@@ -18,7 +18,7 @@ from tests.runtime.cases import QUICK
 TERMS = ["reconstruction", "localization", "rate", "orthogonality"]
 
 
-UAV = Architecture(n_views=5, view_dim=6, latent=8, hidden=16, last_hidden=12, head=10)
+UAV = Architecture(n_views=5, view_dim=6, latent=8, hidden=16, last_hidden=12, head=10, kind="dense")
 
 UGV = dataclasses.replace(UAV, n_views=4)
 

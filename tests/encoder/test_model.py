@@ -147,7 +147,7 @@ def test_the_mean_projection_is_the_matrix_the_mean_uses():
     assert moved[3] > 1e-2 and np.all(np.delete(moved, 3) == 0.0)
 
 
-@pytest.mark.parametrize("arch", [UAV, UGV, Architecture()])
+@pytest.mark.parametrize("arch", [UAV, UGV, Architecture(kind="dense")])
 def test_parameters_are_float32_and_counted_in_bytes(arch):
     width, shapes = arch.n_views * arch.view_dim, shapes_of(arch)
     assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(shapes))
@@ -173,7 +173,7 @@ def initial(arch):
     return jax.jit(init, static_argnums=1, compiler_options=QUICK)(jax.random.key(1), arch)
 
 
-WIDE = Architecture(hidden=256, last_hidden=192, logvar_bias=-2.5)
+WIDE = Architecture(hidden=256, last_hidden=192, logvar_bias=-2.5, kind="dense")
 
 
 def test_initial_kernels_have_the_variance_that_keeps_a_signal():

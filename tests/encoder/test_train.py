@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from ovibjax.encoder.epochs import schedule_of
 from ovibjax.encoder.loss import Hypers, make_hypers
-from ovibjax.encoder.train import PAPER_PREFIXES, TrainConfig, fit, fixed_rate
+from ovibjax.encoder.recipe import PAPER_PREFIXES, training_prefixes, training_steps
+from ovibjax.encoder.train import TrainConfig, fit, fixed_rate
 from tests.encoder.cases import (
     TERMS,
     UAV,
@@ -178,12 +180,30 @@ def test_a_grid_in_bfloat16_learns_as_one_in_float32(n_views):
     assert np.all(np.abs(first) < 0.01) and np.all(first != 0.0)
 
 
-def test_the_default_prefixes_are_the_papers():
+def test_the_default_prefixes_end_at_the_full_code_as_the_papers_do():
     assert PAPER_PREFIXES == (4, 8, 16, 32, 64, 96, 128)
     static = TrainConfig()
-    assert static.prefixes == PAPER_PREFIXES and max(static.prefixes) == static.arch.latent
+    assert static.prefixes == training_prefixes() and min(static.prefixes) == 4
+    assert max(static.prefixes) == max(PAPER_PREFIXES) == static.arch.latent
+    assert training_prefixes(10) == (4, *[8] * 5, 10, 10) and training_prefixes(4) == (4, 4)
     assert hash(static) == hash(TrainConfig()) and static != TrainConfig(steps=1)
     assert math.isclose(float(make_hypers().beta), 1e-3, rel_tol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("n", "batch", "steps"),
+    [
+        (3495, 128, 75 * 27),
+        (1400, 128, 75 * 10),
+        (3495, 512, 75 * 6),
+        (60, 128, 400),
+        (700, 128, 400),
+        (10**6, 128, 10**4),
+    ],
+)
+def test_the_length_of_a_training_follows_the_number_of_examples(n, batch, steps):
+    assert training_steps(n, batch) == steps
+    assert schedule_of(None, batch, n) == schedule_of(steps, batch, n)
 
 
 def test_the_fixed_rate_model_has_one_length_and_the_ard_prior():

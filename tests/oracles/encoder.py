@@ -166,10 +166,10 @@ def locate(params, descriptor, activation=gelu):
 
 
 def learning_rate(step, peak, warmup, total):
-    """Linear warm-up that reaches the peak at step `warmup`, then half a cosine to zero at `total`."""
+    """Linear warm-up that reaches the peak at step `warmup`, then a straight line to zero at `total`."""
     if step < warmup:
         return peak * (step + 1) / warmup
-    return peak * 0.5 * (1 + math.cos(math.pi * (step - warmup) / (total - warmup)))
+    return peak * (total - step) / (total - warmup)
 
 
 def adamw(param, grads, rates, weight_decay, b1=0.9, b2=0.999, eps=1e-8):

@@ -1,5 +1,6 @@
 """Products in bfloat16 against float64 NumPy on rounded operands, and the programs XLA makes of them."""
 
+import dataclasses
 import functools
 import re
 
@@ -113,13 +114,15 @@ def test_float32_is_the_product_of_jax():
 
 # ---- programs ----
 
-ARCH = Architecture(n_views=5, view_dim=16, latent=32, hidden=64, last_hidden=48, head=32)
+ARCH = Architecture(n_views=5, view_dim=16, latent=32, hidden=64, last_hidden=48, head=32, kind="dense")
+KINDS = {kind: dataclasses.replace(ARCH, kind=kind, rank=40) for kind in ("dense", "completing")}
 
 
 @functools.cache
-def lowered(precision, mapped=True):
+def lowered(precision, mapped=True, kind="dense"):
     """Loss and gradients of two members, or of one, on a batch of 128, as in training; nothing is executed."""
-    rows = view_rows(TrainConfig(arch=ARCH), 128)[1]
+    arch = KINDS[kind]
+    rows = view_rows(TrainConfig(arch=arch), 128)[1]
 
     def shape(*sizes):
         return jax.ShapeDtypeStruct(sizes, jnp.float32)
@@ -127,12 +130,12 @@ def lowered(precision, mapped=True):
     def members(tree):
         return jax.tree.map(lambda leaf: shape(2, *leaf.shape), tree)
 
-    params = jax.eval_shape(functools.partial(init, arch=ARCH), jax.random.key(0))
+    params = jax.eval_shape(functools.partial(init, arch=arch), jax.random.key(0))
     latent = shape(128, ARCH.latent)
     batch = Batch(shape(128, 5, ARCH.view_dim), shape(128, 3), shape(128, 5), latent, latent)
 
     def loss(params, batch, hypers):
-        return composite_loss(params, batch, hypers, ARCH, "gaussian", rows, precision)
+        return composite_loss(params, batch, hypers, arch, "gaussian", rows, precision)
 
     function, hypers = jax.value_and_grad(loss, has_aux=True), jax.eval_shape(make_hypers)
     if not mapped:
@@ -142,17 +145,19 @@ def lowered(precision, mapped=True):
 
 # One product a layer forwards, one backwards for the kernel and one for the input, which the first layer lacks:
 # 15 products of views and 5 others in the network; the position's layer and the penalty, forwards and backwards,
-# stay in float32.
-NETWORK, OTHERS = 3 * 20 - 5, 3 + 2
+# stay in float32. The linear paths add five products of views and their kernels', and the completion; the width of the
+# posterior has no part in the gradient of what it is computed from.
+NETWORK, OTHERS = {"dense": 3 * 20 - 5, "completing": 3 * 20 - 5 + 2 * 5 + 3 - 1}, 3 + 2
 
 
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_all_products_of_the_network_and_no_others_have_bfloat16_operands(precision):
+def test_all_products_of_the_network_and_no_others_have_bfloat16_operands(precision, kind):
     pattern = r"stablehlo\.dot_general.*: \(tensor<[\dx]*x(\w+)>, tensor<[\dx]*x(\w+)>\) -> tensor<[\dx]*x(\w+)>"
-    types = re.findall(pattern, lowered(precision).as_text())
+    types = re.findall(pattern, lowered(precision, kind=kind).as_text())
     assert {result for _, _, result in types} == {"f32"} and all(a == b for a, b, _ in types)
     in_bfloat16 = sum(a == "bf16" for a, _, _ in types)
-    assert (in_bfloat16, len(types)) == (NETWORK if precision == "bfloat16" else 0, NETWORK + OTHERS)
+    assert (in_bfloat16, len(types)) == (NETWORK[kind] if precision == "bfloat16" else 0, NETWORK[kind] + OTHERS)
 
 
 def compiled_products(text):
@@ -179,7 +184,7 @@ def test_the_compiled_program_multiplies_in_bfloat16_without_transposed_first_op
     products = compiled_products(lowered("bfloat16", mapped).compile().as_text())
     ends_in_bfloat16 = [ends for types, ends, _ in products if types == ["bf16", "bf16"]]
     # No product was raised to float32; some of the views' were joined at most.
-    assert NETWORK - 15 <= len(ends_in_bfloat16) <= NETWORK
+    assert NETWORK["dense"] - 15 <= len(ends_in_bfloat16) <= NETWORK["dense"]
     in_float32 = [origin for types, _, origin in products if types != ["bf16", "bf16"]]
     layers = [origin for origin in in_float32 if "OVIB" in origin and origin.endswith("dot_general")]
     raised = [origin for origin in layers if "head_2" not in origin]
