@@ -16,6 +16,7 @@ from ovibjax.encoder.train import TrainConfig
 from ovibjax.encoder.training_data import member_data
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
+from ovibjax.runtime.precision_choice import faster_precision
 
 TITLE = "Scalable encoder ablations"
 K = 35
@@ -61,13 +62,14 @@ def run(job: Job) -> None:
     seeds = [job.seed + i for i in range(preset.seeds)]
     members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
     views, dim = members[0].train.x.shape[1:]
-    static = TrainConfig(arch=Architecture(n_views=views, view_dim=dim), steps=preset.steps, precision="bfloat16")
+    arch = Architecture(n_views=views, view_dim=dim)
+    static = TrainConfig(arch, steps=preset.steps, precision=faster_precision())
     found = ablate(job.sweep, static, preset.lr, preset.gammas, preset.ks, members, seeds)
     write_rows(job.out / "table.csv", table_rows(found))
     write_claims(job.out / "claims.json", judge_claims(preset, found))
     draw(job.out / "figure.png", found, preset.gammas, K, PAPER_M)
     job.record(
-        *(TITLE, caption(preset, found), seeds, started),
+        *(TITLE, caption(preset, static.precision, found), seeds, started),
         steps=preset.steps,
         precision=static.precision,
         selected_gamma=found.selected_gamma(K),
@@ -176,11 +178,11 @@ def _theory(found: Ablation) -> list[Claim]:
     return [proposition, *bounds]
 
 
-def caption(preset: Preset, found: Ablation) -> str:
+def caption(preset: Preset, precision: str, found: Ablation) -> str:
     """What the reader of the figure needs to know."""
     orthogonal = found.spectra[GAMMA]
     return (
-        f"Trained {preset.steps} steps per member, bfloat16 products; bands and bars are 95 % intervals over "
+        f"Trained {preset.steps} steps per member, {precision} products; bands and bars are 95 % intervals over "
         f"{preset.seeds} seeds (split, initialisation, minibatches; common to all variants). (a) Orthogonality "
         f"weight at k = {K}; star: selected on validation among γ > 0. (b) Coordinates of Full (γ = {GAMMA:g}, "
         f"β = 0.001) kept in other orders; random: eight permutations. (c) Components at k = {K}, each trained "

@@ -16,6 +16,7 @@ from ovibjax.cards.job import CardInterrupted, Job
 from ovibjax.encoder.training_data import member_data
 from ovibjax.report.claims import write_claims
 from ovibjax.report.rows import write_rows
+from ovibjax.runtime.precision_choice import faster_precision
 
 TITLE = "Scalable O-VIB compression"
 SEEDS = {"smoke": 2, "quick": 3, "full": 5}
@@ -29,9 +30,9 @@ EFFORTS = {
 def run(job: Job) -> None:
     """Run the card: train, judge, code images, write tables, claims and figure; Ctrl-C keeps the finished seeds."""
     started = time.perf_counter()
-    effort = EFFORTS[job.preset]
+    effort, precision = EFFORTS[job.preset], faster_precision()
     prepared = {job.seed + i: member_data(job.features, job.seed + i, job.rank) for i in range(SEEDS[job.preset])}
-    outcomes, interrupted = run_methods(prepared, effort)
+    outcomes, interrupted = run_methods(prepared, effort, precision)
     frontier, codec_note = None, " Image codecs are left out: the run was interrupted."
     if not interrupted:
         try:
@@ -55,6 +56,7 @@ def run(job: Job) -> None:
         selected_k=results.chosen,
         view_coordinates=view_dim,
         energy_kept=round(kept, 4),
+        precision=precision,
         steps=effort.steps,
         fixed_steps=effort.fixed_steps,
         final_losses={method: {name: float(v[-1]) for name, v in terms.items()} for method, terms in losses.items()},

@@ -10,6 +10,7 @@ from ovibjax.encoder.loss import BETA, GAMMA
 from ovibjax.encoder.training_data import member_data
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
+from ovibjax.runtime.precision_choice import faster_precision
 
 TITLE = "Fixed-rate O-VIB of the conference version"
 
@@ -57,13 +58,13 @@ PRESETS = {
 def run(job: Job) -> None:
     """Run the card: train the grid and the baseline, time the encoders, write table, claims and figure."""
     started = time.perf_counter()
-    preset = PRESETS[job.preset]
+    preset, precision = PRESETS[job.preset], faster_precision()
     seeds = [job.seed + i for i in range(preset.seeds)]
     members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
     grid = [*preset.over_beta, *(point for point in preset.over_gamma if point not in preset.over_beta)]
     first = slice(preset.fusion_seeds)
     found = FixedRateStudy(
-        train_grid(job.sweep, grid, preset.steps, preset.lr, members, seeds),
+        train_grid(job.sweep, grid, preset.steps, preset.lr, precision, members, seeds),
         train_fusion(job.sweep, preset.fusion_steps, members[first], seeds[first]),
         time_encoders(members[0]),
     )
@@ -75,7 +76,7 @@ def run(job: Job) -> None:
         *(TITLE, caption(preset, found), seeds, started),
         steps=preset.steps,
         fusion_steps=preset.fusion_steps,
-        precision="bfloat16",
+        precision=precision,
         selected={"beta": beta, "gamma": gamma},
         host_ms={name: round(ms, 3) for name, ms in found.host_ms.items()},
         diverged=int(found.trained.diverged.sum()),

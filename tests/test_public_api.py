@@ -38,7 +38,8 @@ PUBLIC = {
         profile_rate_bps rate_bps read_trace request_bytes resample semantic_latency_ms transmit_s unpack""",
     "ovibjax.report": """Claim Interval band bars choose interval plot select sheet table variance_shares write_claims
         write_csv write_page""",
-    "ovibjax.runtime": "PRECISIONS cache_folder in_order in_threads keep_compiled_programs progress_bar workers",
+    "ovibjax.runtime": """PRECISIONS cache_folder faster_precision in_order in_threads keep_compiled_programs
+        progress_bar workers""",
     "ovibjax.scheduling": """LEVELS POLICIES RequestTrace SchedulerParams Weights default_params default_trace_params
         make_trace metrics recorded_events replay replay_coupled run_grid solve synthetic_events""",
     "ovibjax.sweep": "Along Axis Interrupted best config_of on_ray open_dataset run take tree_of",

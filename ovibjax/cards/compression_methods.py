@@ -88,9 +88,9 @@ def architecture_of(data: MemberData) -> Architecture:
     return Architecture(n_views=views, view_dim=dim, latent=LATENT)
 
 
-def train_config(method: str, data: MemberData, effort: Effort) -> TrainConfig:
+def train_config(method: str, data: MemberData, effort: Effort, precision: str) -> TrainConfig:
     """Static choices of a trained method."""
-    static = TrainConfig(arch=architecture_of(data), steps=effort.steps, precision="bfloat16")
+    static = TrainConfig(arch=architecture_of(data), steps=effort.steps, precision=precision)
     if not method.startswith("fixed_"):
         return static
     return replace(fixed_rate(static, int(method.removeprefix("fixed_"))), steps=effort.fixed_steps)
@@ -101,7 +101,7 @@ def hypers_of(method: str, effort: Effort) -> Hypers:
     return make_hypers(gamma=0.0 if method == "vib" else GAMMA, lr=effort.lr)
 
 
-def run_method(method: str, seed: int, data: MemberData, effort: Effort) -> Outcome:
+def run_method(method: str, seed: int, data: MemberData, effort: Effort, precision: str) -> Outcome:
     """Train one method on one seed and judge it, in the mode that uses every view.
 
     Args:
@@ -109,11 +109,12 @@ def run_method(method: str, seed: int, data: MemberData, effort: Effort) -> Outc
         seed: initialisation, minibatch order and noise; shared by all methods.
         data: the seed's data.
         effort: how long to train.
+        precision: operands of the networks' products.
 
     Returns:
         The outcome, on the host.
     """
-    static = train_config(method, data, effort)
+    static = train_config(method, data, effort, precision)
     views = static.arch.n_views
     params, losses = _fit(jax.random.key(seed), hypers_of(method, effort), data.train, static)
     trained = Trained(data, params)
@@ -135,13 +136,14 @@ def run_method(method: str, seed: int, data: MemberData, effort: Effort) -> Outc
 
 
 def run_methods(
-    prepared: Mapping[int, tuple[MemberData, ViewBasis]], effort: Effort
+    prepared: Mapping[int, tuple[MemberData, ViewBasis]], effort: Effort, precision: str
 ) -> tuple[dict[int, dict[str, Outcome]], bool]:
     """Train and judge every method on every seed, with a progress bar; Ctrl-C keeps the seeds that are finished.
 
     Args:
         prepared: data and basis per seed.
         effort: how long to train.
+        precision: operands of the networks' products.
 
     Returns:
         Outcomes by method, of the seeds on which all methods are finished; and whether Ctrl-C came.
@@ -154,7 +156,7 @@ def run_methods(
 
     def work(task: tuple[int, str]) -> tuple[int, str, Outcome]:
         seed, method = task
-        return seed, method, run_method(method, seed, prepared[seed][0], effort)
+        return seed, method, run_method(method, seed, prepared[seed][0], effort, precision)
 
     interrupted = False
     try:

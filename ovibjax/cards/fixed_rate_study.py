@@ -53,6 +53,7 @@ def train_grid(
     points: Sequence[tuple[float, float]],
     steps: int,
     lr: float,
+    precision: str,
     members: list[MemberData],
     seeds: list[int],
 ) -> xarray.Dataset:
@@ -63,6 +64,7 @@ def train_grid(
         points: weights (beta, gamma) of the ARD term and of the orthogonality penalty.
         steps: training steps.
         lr: peak learning rate.
+        precision: operands of the network's products.
         members: data per seed.
         seeds: seeds, common to all points.
 
@@ -71,7 +73,7 @@ def train_grid(
     """
     views, dim = members[0].train.x.shape[1:]
     arch = Architecture(n_views=views, view_dim=dim)
-    static = fixed_rate(TrainConfig(arch, steps=steps, precision="bfloat16"), K)
+    static = fixed_rate(TrainConfig(arch, steps=steps, precision=precision), K)
     beta, gamma = zip(*points, strict=True)
     dataset = sweep(
         "training fixed-rate models",

@@ -53,8 +53,9 @@ class SweepTrain:
     """Full latent dimension K."""
     prior: Literal["gaussian", "ard"] = "gaussian"
     """Prior of the rate term."""
-    precision: Literal["float32", "bfloat16"] = "float32"
-    """Operands of matrix products; bfloat16 is faster on processors with matrix units."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Operands of matrix products; auto: those OUT was begun with, in a new one bfloat16 where this machine is faster
+    with it, else float32."""
     data: Path | None = None
     """Your own feature set (.npz or folder, see `ovibjax reproduce --help`); the embedded town by default."""
     rank: int = 64
@@ -94,6 +95,17 @@ class SweepTrain:
 
     def _prefixes(self) -> tuple[int, ...]:
         return tuple(sorted(integers("prefix", self.prefix, 1, self.latent)))
+
+    def _precision(self) -> str:
+        """The operands by name; what a store was begun with stays, on whatever machine it is gone on with."""
+        from ovibjax.runtime.precision import PRECISIONS
+        from ovibjax.runtime.precision_choice import faster_precision
+        from ovibjax.sweep.store import config_of
+
+        if self.precision != "auto":
+            return self.precision
+        begun_with = (config_of(self.out) or {}).get("settings", {}).get("precision")
+        return begun_with if begun_with in PRECISIONS else faster_precision()
 
     def _executor(self) -> "Executor | None":
         if self.on == "local":
@@ -135,11 +147,11 @@ class SweepTrain:
             prior=self.prior,
             steps=self.steps,
             batch=self.batch,
-            precision=self.precision,
+            precision=self._precision(),
         )
         settings: dict[str, Any] = {"data": str(self.data) if self.data else "embedded", "rank": self.rank}
         settings |= {"steps": self.steps, "batch": self.batch, "latent": self.latent, "prior": self.prior}
-        settings |= {"precision": self.precision, "prefix": list(prefixes), "mode": list(modes)}
+        settings |= {"precision": static.precision, "prefix": list(prefixes), "mode": list(modes)}
         with progress_bar("training", 1) as update, going_on_in(self.out):
             dataset = run(
                 TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),

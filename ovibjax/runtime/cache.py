@@ -57,12 +57,12 @@ def keep_compiled_programs() -> None:
     Most of a short command's time is compiling, which the same command on the same machine need not do twice.
     `JAX_COMPILATION_CACHE_DIR`, where set, is left as it is; an empty one keeps nothing.
     """
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_folder() / "compiled" / _processor()))
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_folder() / "compiled" / processor()))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 
-def _processor() -> str:
-    """A name for this kind of processor: programs hold its instructions, and a home folder may be shared."""
+def processor() -> str:
+    """A name for this kind of processor, 12 hexadecimal digits: a home folder may be shared by several kinds."""
     known = [platform.machine(), platform.processor()]
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()

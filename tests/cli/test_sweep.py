@@ -10,6 +10,9 @@ import time
 import numpy as np
 import pytest
 
+from ovibjax.cli.sweep_train import SweepTrain
+from ovibjax.runtime import precision_choice
+from ovibjax.sweep.engine import run
 from ovibjax.sweep.store import open_dataset
 from tests.cli.cases import done_here, ovibjax, said_of_bad_input
 from tests.ctrl_c import ctrl_c_interrupts
@@ -75,6 +78,24 @@ def test_another_sweep_on_the_same_store_is_refused_and_named(store, features, r
     said = refused("sweep", "train", *AXES, "--steps", 40, "--batch", 32, "--data", features, "--out", store)
     assert "settings.steps is 20 there and 40 here" in said
     assert before == sorted((path, path.stat().st_mtime_ns) for path in store.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize("begun_with", ["float32", "bfloat16"])
+def test_a_store_goes_on_with_the_operands_it_was_begun_with(tmp_path, monkeypatch, begun_with):
+    out = tmp_path / "mine.zarr"
+    other = {"float32": "bfloat16", "bfloat16": "float32"}[begun_with]
+    monkeypatch.setattr(precision_choice, "faster_precision", lambda: begun_with)
+    assert SweepTrain(out)._precision() == begun_with and SweepTrain(out, precision=other)._precision() == other
+    run(lambda key, point, shared: {"y": point["a"]}, {"a": [1.0]}, store=out, settings={"precision": begun_with})
+    monkeypatch.setattr(precision_choice, "faster_precision", lambda: other)
+    assert SweepTrain(out)._precision() == begun_with and SweepTrain(out, precision=other)._precision() == other
+
+
+def test_the_operands_are_in_the_store(store, features, refused):
+    precision = open_dataset(store).attrs["config"]["settings"]["precision"]
+    other = {"float32": "bfloat16", "bfloat16": "float32"}[precision]
+    command = ("sweep", "train", *AXES, "--steps", 20, "--batch", 32, "--data", features, "--out", store)
+    assert "settings.precision is" in refused(*command, "--precision", other)
 
 
 @pytest.mark.parametrize(
