@@ -60,14 +60,18 @@ def run(job: Job) -> None:
     started = time.perf_counter()
     preset = PRESETS[job.preset]
     seeds = [job.seed + i for i in range(preset.seeds)]
-    members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
+    with job.stage("features"):
+        members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
     views, dim = members[0].train.x.shape[1:]
     arch = Architecture(n_views=views, view_dim=dim)
     static = TrainConfig(arch, steps=preset.steps, precision=faster_precision())
-    found = ablate(job.sweep, static, preset.lr, preset.gammas, preset.ks, members, seeds)
+    with job.stage("judge"):
+        found = ablate(job.sweep, static, preset.lr, preset.gammas, preset.ks, members, seeds)
+        claims = judge_claims(preset, found)
     write_rows(job.out / "table.csv", table_rows(found))
-    write_claims(job.out / "claims.json", judge_claims(preset, found))
-    draw(job.out / "figure.png", found, preset.gammas, K, PAPER_M)
+    write_claims(job.out / "claims.json", claims)
+    with job.stage("draw"):
+        draw(job.out / "figure.png", found, preset.gammas, K, PAPER_M)
     job.record(
         *(TITLE, caption(preset, static.precision, found), seeds, started),
         steps=preset.steps,

@@ -48,10 +48,13 @@ def run(job: Job) -> None:
     started = time.perf_counter()
     preset = PRESETS[job.preset]
     seeds = [job.seed + i for i in range(preset.seeds)]
-    found = replay_congestion(events_of(job), seeds, preset.sensitivity_seeds)
+    events = events_of(job)
+    with job.stage("replay"):
+        found = replay_congestion(events, seeds, preset.sensitivity_seeds)
     write_rows(job.out / "table.csv", table_rows(found, seeds))
     write_claims(job.out / "claims.json", judge_claims(found))
-    panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.2)
+    with job.stage("draw"):
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.2)
     job.record(TITLE, caption(found, seeds), seeds, started, phase_spread_s=PHASE_SPREAD_S, requests=found.requests)
 
 

@@ -57,21 +57,22 @@ def run(job: Job) -> None:
     preset = PRESETS[job.preset]
     rooms = [job.seed + i for i in range(preset.rooms)]
     seeds = [job.seed + i for i in range(preset.seeds)]
-    if job.embedded:
-        scenes = embedded_scenes(rooms)
+    if job.queries is None:
+        with job.stage("render"):
+            scenes = embedded_scenes(rooms)
     else:
-        assert job.queries is not None
         scenes = {platform_of(job.features): {0: (job.features, job.queries)}}
     found = [
         measure(job.sweep, name, of_name, seeds, preset.steps, preset.checkpoints, job.rank)
         for name, of_name in scenes.items()
     ]
-    if job.embedded:
-        room_sheet([(name, room_config(name, rooms[0])) for name in PLATFORMS], job.out / "rooms.png")
     write_rows(job.out / "table.csv", [row for platform in found for row in table_rows(platform)])
     write_rows(job.out / "summary.csv", [row for platform in found for row in summary_rows(platform)])
     write_claims(job.out / "claims.json", [claim for platform in found for claim in judge_claims(platform)])
-    draw(job.out / "figure.png", found, preset.steps, job.embedded)
+    with job.stage("draw"):
+        draw(job.out / "figure.png", found, preset.steps, job.embedded)
+        if job.embedded:
+            room_sheet([(name, room_config(name, rooms[0])) for name in PLATFORMS], job.out / "rooms.png")
     job.record(
         *(TITLE, caption(found, job.embedded), seeds, started),
         frames=", ".join(f"{platform.name} {platform.counts}" for platform in found),

@@ -25,7 +25,8 @@ def run(job: Job) -> None:
     seed = found.seeds[representative(found)]
     write_rows(job.out / "table.csv", policy_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.2)
+    with job.stage("draw"):
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.2)
     job.record(TITLE, caption(found), found.seeds, started, representative_seed=seed)
 
 

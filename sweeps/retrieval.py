@@ -39,7 +39,8 @@ def run(job: Job) -> None:
     write_rows(job.out / "table.csv", table_rows(found))
     write_rows(job.out / "growth.csv", found.growth)
     write_claims(job.out / "claims.json", judge_claims(found))
-    draw(job.out / "figure.png", found)
+    with job.stage("draw"):
+        draw(job.out / "figure.png", found)
     job.record(TITLE, caption(found), found.seeds, started, chosen=list(found.chosen), scenes=found.n_scenes)
 
 

@@ -31,8 +31,11 @@ def run(job: Job) -> None:
     """Run the card: train, judge, code images, write tables, claims and figure; Ctrl-C keeps the finished seeds."""
     started = time.perf_counter()
     effort, precision = EFFORTS[job.preset], faster_precision()
-    prepared = {job.seed + i: member_data(job.features, job.seed + i, job.rank) for i in range(SEEDS[job.preset])}
-    outcomes, interrupted = run_methods(prepared, effort, precision)
+    seeds = range(job.seed, job.seed + SEEDS[job.preset])
+    with job.stage("features"):
+        prepared = {seed: member_data(job.features, seed, job.rank) for seed in seeds}
+    with job.stage("train"):
+        outcomes, interrupted = run_methods(prepared, effort, precision)
     frontier, codec_note = None, " Image codecs are left out: the run was interrupted."
     if not interrupted:
         try:
@@ -43,11 +46,14 @@ def run(job: Job) -> None:
     results = collect(outcomes, raw_floats=int(np.prod(job.features.features.shape[1:])))
     write_rows(job.out / "table.csv", table_rows(results))
     basis_bytes = 4 * (basis.axes.size + basis.mean.size)
-    write_rows(job.out / "overhead.csv", overhead_rows(results, measure_encoder(results, member), basis_bytes))
+    with job.stage("time"):
+        encoder = measure_encoder(results, member)
+    write_rows(job.out / "overhead.csv", overhead_rows(results, encoder, basis_bytes))
     _write_codecs(job, frontier)
     claims = [*compression_claims(results, job.embedded), *(codec_claims(frontier, LINK_KB_PER_S) if frontier else [])]
     write_claims(job.out / "claims.json", claims)
-    draw(job.out / "figure.png", results, frontier)
+    with job.stage("draw"):
+        draw(job.out / "figure.png", results, frontier)
     view_dim, kept = member.train.x.shape[2], float(np.mean([b.energy_kept.mean() for _, b in prepared.values()]))
     losses = {method: outcome.losses for method, outcome in next(iter(outcomes.values())).items()}
     job.record(

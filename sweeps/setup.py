@@ -66,7 +66,8 @@ def run(job: Job) -> None:
             rows += table_rows(str(scene), describe(data, split, scene), setting, None)
     write_rows(job.out / "table.csv", rows)
     write_claims(job.out / "claims.json", [split_claim(whole)])
-    draw(job.out / "figure.png", data, scenes, job.embedded)
+    with job.stage("draw"):
+        draw(job.out / "figure.png", data, scenes, job.embedded)
     job.record(TITLE, caption(whole, scenes, setting, job.embedded), [job.seed], started, setting=setting)
 
 

@@ -60,17 +60,18 @@ def run(job: Job) -> None:
     started = time.perf_counter()
     preset, precision = PRESETS[job.preset], faster_precision()
     seeds = [job.seed + i for i in range(preset.seeds)]
-    members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
+    with job.stage("features"):
+        members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
     grid = [*preset.over_beta, *(point for point in preset.over_gamma if point not in preset.over_beta)]
     first = slice(preset.fusion_seeds)
-    found = FixedRateStudy(
-        train_grid(job.sweep, grid, preset.steps, preset.lr, precision, members, seeds),
-        train_fusion(job.sweep, preset.fusion_steps, members[first], seeds[first]),
-        time_encoders(members[0]),
-    )
+    trained = train_grid(job.sweep, grid, preset.steps, preset.lr, precision, members, seeds)
+    fusion = train_fusion(job.sweep, preset.fusion_steps, members[first], seeds[first])
+    with job.stage("time"):
+        found = FixedRateStudy(trained, fusion, time_encoders(members[0]))
     write_rows(job.out / "table.csv", table_rows(found))
     write_claims(job.out / "claims.json", judge_claims(preset, found))
-    draw(job.out / "figure.png", found, preset.over_beta, preset.over_gamma)
+    with job.stage("draw"):
+        draw(job.out / "figure.png", found, preset.over_beta, preset.over_gamma)
     beta, gamma = found.best()
     job.record(
         *(TITLE, caption(preset, found), seeds, started),

@@ -57,7 +57,7 @@ def run(job: Job) -> None:
     """Run the card: one sweep, table, claims, figure."""
     started = time.perf_counter()
     preset = PRESETS[job.preset]
-    with progress_bar("rendering the routes", 1) as update:
+    with job.stage("render"), progress_bar("rendering the routes", 1) as update:
         drives, training = drives_of(preset.scene, job.own_features, update)
     seeds = [job.seed + i for i in range(preset.seeds)]
     axes = {"beta": list(preset.betas), "gamma": list(preset.gammas), "seed": seeds}
@@ -69,7 +69,8 @@ def run(job: Job) -> None:
     found = job.kept("training and replaying the system", compute)
     write_rows(job.out / "table.csv", table_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.3)
+    with job.stage("draw"):
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.3)
     points = int(np.prod([found.sizes[dim] for dim in ("beta", "gamma", "k", "V", "seed")]))
     job.record(
         *(TITLE, caption(found, preset, points), seeds, started),

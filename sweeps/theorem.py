@@ -50,7 +50,8 @@ def run(job: Job) -> None:
     write_rows(job.out / "table.csv", table_rows(found))
     write_rows(job.out / "stability.csv", growth_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.6)
+    with job.stage("draw"):
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.6)
     job.record(
         *(TITLE, caption(preset), seeds, started),
         slots=preset.horizon.blocks * preset.horizon.slots,

@@ -25,7 +25,8 @@ def run(job: Job) -> None:
     found = study(job)
     write_rows(job.out / "table.csv", table_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.3)
+    with job.stage("draw"):
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.3)
     job.record(TITLE, caption(found), found.seeds, started)
 
 

@@ -28,7 +28,8 @@ def run(job: Job) -> None:
     write_rows(job.out / "table.csv", policy_rows(found))
     write_rows(job.out / "sensitivity.csv", sensitivity_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.5)
+    with job.stage("draw"):
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.5)
     job.record(TITLE, caption(found), found.seeds, started, **facts(found))
 
 

@@ -23,7 +23,8 @@ def run(job: Job) -> None:
     context, names = found.routes.context[seed], found.scene.contexts
     write_rows(job.out / "table.csv", table_rows(found, seed))
     write_claims(job.out / "claims.json", judge_claims(found))
-    draw_timeline(job.out / "figure.png", one, context, names, found.scene.actions, "VOI-Control")
+    with job.stage("draw"):
+        draw_timeline(job.out / "figure.png", one, context, names, found.scene.actions, "VOI-Control")
     job.record(TITLE, caption(found), found.seeds, started, representative_seed=found.seeds[seed])
 
 

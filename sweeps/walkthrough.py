@@ -41,7 +41,7 @@ def run(job: Job) -> None:
     # 1. Drives: sequences of frames, half a second apart, with features, poses and contexts. The embedded town renders
     #    them once and keeps them; your own frames come as one feature set, the first 60 % for training.
     scene = "smoke" if job.preset == "smoke" else "full"
-    with progress_bar("rendering the routes", 1) as update:
+    with job.stage("render"), progress_bar("rendering the routes", 1) as update:
         drives, training = drives_of(scene, job.own_features, update)
 
     # 2. A grid. Axes that training depends on; then prefixes, values of V and rules, which cost no training.
@@ -63,10 +63,11 @@ def run(job: Job) -> None:
     best = choose(grid, "mean_route_m", ["kb<=2.1"])
 
     # 6. The same point alone, as one pure function: what the grid holds is what it gives.
-    data, static = make_system(drives, training, size)
     point = {"beta": best.point["beta"], "gamma": best.point["gamma"], "V": VS[0]}
     at = {name: jnp.float32(value) for name, value in point.items()} | {"k": jnp.int32(best.point["k"])}
-    alone = jax.jit(system.run, static_argnames="static")(jax.random.key(seeds[0]), at, data, static)
+    with job.stage("replay"):
+        data, static = make_system(drives, training, size)
+        alone = jax.jit(system.run, static_argnames="static")(jax.random.key(seeds[0]), at, data, static)
     inside = float(grid.mean_route_m.sel(**best.point, seed=seeds[0]))
     gap = abs(float(alone["mean_route_m"]) / inside - 1.0)
 
@@ -75,7 +76,8 @@ def run(job: Job) -> None:
     statement = "A point run alone, as one pure function, equals the same point inside the grid"
     ours = f"relative difference of the route error {gap:.1e}"
     write_claims(job.out / "claims.json", [Claim.true(statement, "-", ours, gap <= 1e-4, "at most 1e-4")])
-    draw(job.out / "figure.png", drives, error_m, tail_ms, best)
+    with job.stage("draw"):
+        draw(job.out / "figure.png", drives, error_m, tail_ms, best)
     caption = (
         "The script `sweeps/walkthrough.py`, executed: (a) drives by context, (b) and (c) what a grid of "
         f"{grid.top_cost.size} points says. Bands are 95 % intervals over {len(seeds)} seeds."

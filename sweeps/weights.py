@@ -45,11 +45,14 @@ def run(job: Job) -> None:
     preset = PRESETS[job.preset]
     tuning_seeds = list(range(preset.tuning_seeds))
     seeds = [job.seed + i for i in range(preset.held_out_seeds)]
-    found = search_weights(events_of(job), preset.candidates, tuning_seeds, seeds)
+    events = events_of(job)
+    with job.stage("replay"):
+        found = search_weights(events, preset.candidates, tuning_seeds, seeds)
     write_rows(job.out / "table.csv", table_rows(found, seeds))
     write_rows(job.out / "weights.csv", weight_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
-    panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.4)
+    with job.stage("draw"):
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.4)
     tuning = f"0 to {preset.tuning_seeds - 1}"
     job.record(TITLE, caption(preset, seeds), seeds, started, tuning_seeds=tuning, candidates=preset.candidates)
 

@@ -113,6 +113,7 @@ def ablate(
         Along("seed", full),
         dims={"test_mean_m": ["prefix"]},
         coords=coords,
+        stage="judge",
     )
     return Ablation(trained, orders.test_mean_m, judge_pca(static, ks, full), spectra_by_gamma(trained))
 

@@ -86,10 +86,11 @@ def code_and_judge(
     n_frames = len(job.features.features)
 
     def code(frames: NDArray[np.int64]) -> CodedViews:
-        with progress_bar("rendering and coding 400 x 300 px", len(frames)) as update:
+        with job.stage("codecs"), progress_bar("rendering and coding 400 x 300 px", len(frames)) as update:
             return coded_town(TownConfig(), n_frames, frames, rungs, on_frames=update)
 
-    frontier = judge_codecs(job.features, prepared, outcomes, plan, code)
+    with job.stage("judge"):
+        frontier = judge_codecs(job.features, prepared, outcomes, plan, code)
     gap = interval(frontier.plain_m - frontier.native_m)
     note = (
         f" Image codecs code 400 x 300 px renders of {frontier.error_m.shape[2]} test frames per seed, from the "

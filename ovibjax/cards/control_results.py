@@ -25,10 +25,10 @@ def study(job: Job) -> ControlStudy:
     Returns:
         The study; computed once per process.
     """
-    with progress_bar("rendering the routes", 1) as update:
+    with job.stage("render"), progress_bar("rendering the routes", 1) as update:
         drives, training = drives_of(job.preset, job.own_features, update)
     with console.status("searching prices, replaying held-out seeds"):
-        return control_study(job.preset, job.seed, drives, training)
+        return control_study(job.preset, job.seed, drives, training, job.stage)
 
 
 def representative(found: ControlStudy) -> int:

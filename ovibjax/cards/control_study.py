@@ -1,6 +1,7 @@
 """The request-control study that the paper's figures share: sizes by preset, computed once per process."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,7 +105,13 @@ def drives_of(
 _made: dict[Any, ControlStudy] = {}
 
 
-def control_study(preset: str, first_seed: int, drives: list[FeatureSet], training: int) -> ControlStudy:
+def control_study(
+    preset: str,
+    first_seed: int,
+    drives: list[FeatureSet],
+    training: int,
+    stage: Callable[[str], AbstractContextManager[None]],
+) -> ControlStudy:
     """The study of a preset; figures that follow one another in a process share it.
 
     Args:
@@ -112,6 +119,7 @@ def control_study(preset: str, first_seed: int, drives: list[FeatureSet], traini
         first_seed: first held-out seed.
         drives: see `drives_of`.
         training: number of training routes among them.
+        stage: counts time to a stage, as `Job.stage`.
 
     Returns:
         The study.
@@ -119,7 +127,10 @@ def control_study(preset: str, first_seed: int, drives: list[FeatureSet], traini
     key = (preset, first_seed, training, *map(content_hash, drives))
     if key not in _made:
         _made.clear()
-        _made[key] = _make(PRESETS[preset], first_seed, make_scene(drives, training, PRESETS[preset].checkpoint))
+        with stage("train"):
+            scene = make_scene(drives, training, PRESETS[preset].checkpoint)
+        with stage("replay"):
+            _made[key] = _make(PRESETS[preset], first_seed, scene)
     return _made[key]
 
 

@@ -4,8 +4,8 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from ovibjax.features.frames import FeatureSet
 from ovibjax.report.provenance import provenance
 from ovibjax.runtime.cache import cache_folder
 from ovibjax.runtime.progress import progress_bar
+from ovibjax.runtime.stage_times import Stages
 from ovibjax.sweep.engine import Interrupted, run
 from ovibjax.sweep.schema import digest
 from ovibjax.sweep.store import attach
@@ -24,6 +25,9 @@ from ovibjax.sweep.store import attach
 PRESETS = ("smoke", "quick", "full")
 Sweep = Callable[..., xarray.Dataset]
 """`sweep(description, fn, axes, shared, **options)`, as `Job.sweep`."""
+
+STAGES = ("render", "features", "train", "judge", "codecs", "replay", "time", "draw", "other")
+"""What a card's time is spent on; `other` is what it does outside of the stages that it names."""
 
 _KEPT_S = 7 * 24 * 3600.0
 
@@ -45,6 +49,7 @@ class Job:
         source: "embedded" or the path the data came from.
         rank: coordinates kept per view; None keeps all.
         queries: the second feature set of a card that takes references and queries; None for embedded data.
+        stages: where its time goes.
     """
 
     name: str
@@ -55,8 +60,22 @@ class Job:
     source: str
     rank: int | None
     queries: FeatureSet | None = None
+    stages: Stages = field(default_factory=Stages)
 
-    def sweep(self, description: str, fn: Any, axes: Mapping[str, Any], shared: Any, **options: Any) -> xarray.Dataset:
+    def stage(self, name: str) -> AbstractContextManager[None]:
+        """Count the time of a `with` block to a stage.
+
+        Args:
+            name: one of `STAGES`, or a name of the card's own.
+
+        Returns:
+            A context manager; blocks may nest, and time counts to the innermost.
+        """
+        return self.stages.stage(name)
+
+    def sweep(
+        self, description: str, fn: Any, axes: Mapping[str, Any], shared: Any, stage: str = "train", **options: Any
+    ) -> xarray.Dataset:
         """`sweep.run`, kept as `kept` says.
 
         Args:
@@ -64,6 +83,7 @@ class Job:
             fn: member function.
             axes: values per axis.
             shared: data.
+            stage: see `stage`.
             options: further options of `sweep.run`.
 
         Returns:
@@ -72,14 +92,15 @@ class Job:
         Raises:
             CardInterrupted: Ctrl-C; finished members are kept.
         """
-        return self.kept(description, partial(run, fn, axes, shared, **options))
+        return self.kept(description, partial(run, fn, axes, shared, **options), stage)
 
-    def kept(self, description: str, compute: Callable[..., xarray.Dataset]) -> xarray.Dataset:
+    def kept(self, description: str, compute: Callable[..., xarray.Dataset], stage: str = "train") -> xarray.Dataset:
         """A sweep with a progress bar and a store in the cache folder: an interrupted figure goes on from there.
 
         Args:
             description: what the bar says.
             compute: the sweep; takes `store` and `on_progress` of `sweep.run`.
+            stage: see `stage`.
 
         Returns:
             The dataset, complete; attribute `resumed` says how many members an earlier, interrupted run had finished.
@@ -93,7 +114,7 @@ class Job:
             return folder / f"{self.name}-{digest(config)[:16]}.zarr"
 
         found: list[int] = []
-        with progress_bar(description, 1) as update:
+        with self.stage(stage), progress_bar(description, 1) as update:
 
             def on_progress(done: int, total: int) -> None:
                 found.append(done)
@@ -116,6 +137,8 @@ class Job:
     def record(self, title: str, caption: str, seeds: Iterable[int], started: float, **facts: Any) -> None:
         """Write `provenance.json`: what every card says of itself, and its own facts.
 
+        `stages` are the seconds of each stage, `compile` those of them in which programs were compiled.
+
         Args:
             title: heading on the results page.
             caption: what the reader of the figure needs to know.
@@ -126,6 +149,7 @@ class Job:
         common: dict[str, Any] = {"title": title, "caption": caption, "preset": self.preset}
         common |= {"seeds": " ".join(map(str, seeds)), "frames": len(self.features.features)}
         common |= {"data": "embedded town" if self.embedded else Path(self.source).name}
+        common |= {"stages": _rounded(self.stages.seconds()), "compile": _rounded(self.stages.compiling())}
         everything = provenance(**common | facts, seconds=round(time.perf_counter() - started))
         text = json.dumps(everything, indent=1, ensure_ascii=False)
         (self.out / "provenance.json").write_text(text + "\n")
@@ -134,6 +158,10 @@ class Job:
     def embedded(self) -> bool:
         """Whether the data are the embedded town, about which the project states expectations."""
         return self.source == "embedded"
+
+
+def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(value, 1) for name, value in seconds.items()}
 
 
 def _remove_old(folder: Path) -> None:

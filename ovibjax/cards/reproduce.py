@@ -2,18 +2,20 @@
 
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
 
 from ovibjax.cards.catalog import card_names, card_paths, load_card, takes_queries
+from ovibjax.cards.expected_time import in_words, remaining_s
 from ovibjax.cards.job import PRESETS, CardInterrupted, Job
 from ovibjax.cards.loading import load_features, load_pair
 from ovibjax.errors import InputError
 from ovibjax.features.frames import FeatureSet
 from ovibjax.report.page import write_page
 from ovibjax.runtime.progress import console
+from ovibjax.runtime.stage_times import Stages
 
 
 def reproduce(
@@ -52,7 +54,10 @@ def reproduce(
     # Whatever can be refused is refused before anything is rendered, and a refusal leaves no folder behind.
     if not data:
         _check_writable(out)
-    features, queries = _load(data, cards, preset, seed)
+    loading = Stages()
+    with loading.stage("features" if data else "render"):
+        features, queries = _load(data, cards, preset, seed)
+    _print_stages("data", loading)
     source = str(data[0]) if data else "embedded"
     _check_writable(out)
     for name in left_out:
@@ -60,8 +65,7 @@ def reproduce(
     job = partial(Job, preset=preset, seed=seed, features=features, source=source, rank=rank, queries=queries)
     # Of all figures, those that somebody's data do not allow are named, and the others made.
     lenient = bool(data) and not chosen
-    made = [_run_card(card, job(name=name, out=out / name), lenient) for name, card in cards.items()]
-    if not any(made):
+    if not _run_cards(cards, lambda name: job(name=name, out=out / name), lenient):
         raise InputError(f"{source}: allows no figure; the reasons are above")
     return out / "README.md"
 
@@ -104,14 +108,28 @@ def _load(
         raise CardInterrupted("interrupted while reading the data; nothing was written") from None
 
 
+def _run_cards(cards: Mapping[str, ModuleType], job: Callable[[str], Job], lenient: bool) -> bool:
+    """Run cards, and after each say how long the rest will take; False if the data allow none of them."""
+    seen_s: dict[str, float] = {}
+    for name, card in cards.items():
+        started = time.perf_counter()
+        if _run_card(card, one := job(name), lenient):
+            seen_s[name] = time.perf_counter() - started
+        left = list(cards)[list(cards).index(name) + 1 :]
+        remaining = remaining_s(one.preset, seen_s, left) if left else None
+        if remaining is not None:
+            console.print(f"{len(cards) - len(left)} of {len(cards)} figures, {in_words(remaining)} left")
+    return bool(seen_s)
+
+
 def _run_card(card: ModuleType, job: Job, lenient: bool) -> bool:
     """Run one card into its folder; False if the data do not allow it, which is raised unless `lenient`."""
-    started = time.perf_counter()
     results = job.out.parent
     job.out.mkdir(exist_ok=True)
     console.print(f"[bold]{card.TITLE}[/bold] ({job.preset} preset) -> {job.out}")
     try:
-        card.run(job)
+        with job.stage("other"):
+            card.run(job)
     except CardInterrupted:  # the card wrote what it had
         write_page(results)
         raise
@@ -124,9 +142,14 @@ def _run_card(card: ModuleType, job: Job, lenient: bool) -> bool:
             raise
         console.print(f"{job.name}: left out, {error}", highlight=False)
         return False
-    console.print(f"{job.name}: {time.perf_counter() - started:.0f} s")
+    _print_stages(job.name, job.stages)
     write_page(results)
     return True
+
+
+def _print_stages(name: str, stages: Stages) -> None:
+    """How long something took, and a line per stage."""
+    console.print(f"{name}: {sum(stages.seconds().values()):.0f} s", *stages.lines(), sep="\n  ", highlight=False)
 
 
 def _check_writable(out: Path) -> None:

@@ -109,16 +109,17 @@ def measure(job: Job, size: StudySize) -> RetrievalStudy:
     """
     features, n_scenes = _scenes(job, size)
     queries = min(size.queries, len(features.features) // 10)
-    with console.status("training the code"):
+    with job.stage("train"), console.status("training the code"):
         benchmark = make_benchmark(features, PREFIXES, job.rank, size.steps)
     tuning, seeds = list(range(size.tuning)), [job.seed + i for i in range(size.draws)]
-    tuned, grid = _judge_grid(benchmark, queries, n_scenes, size.edges, (tuning, seeds))
-    paper = choose(tuned, [min(SCENES, n_scenes)], [TILES])
-    chosen = choose(tuned, range(1, n_scenes + 1), TILE_COUNTS)
-    by_prefix = {k: _at_prefix(benchmark, seeds, queries, k, chosen) for k in PREFIXES}
-    with console.status("timing the search"):
+    with job.stage("judge"):
+        tuned, grid = _judge_grid(benchmark, queries, n_scenes, size.edges, (tuning, seeds))
+        paper = choose(tuned, [min(SCENES, n_scenes)], [TILES])
+        chosen = choose(tuned, range(1, n_scenes + 1), TILE_COUNTS)
+        by_prefix = {k: _at_prefix(benchmark, seeds, queries, k, chosen) for k in PREFIXES}
+    with job.stage("time"), console.status("timing the search"):
         times = time_search(benchmark, seeds[0], queries, PREFIX, chosen, 20 * size.repeats)
-    with progress_bar("timing larger databases", len(size.sizes)) as update:
+    with job.stage("time"), progress_bar("timing larger databases", len(size.sizes)) as update:
         batch = min(64, queries)
         growth = time_growth(benchmark, size.sizes, batch, TILES, GROWTH_TILE_M, size.repeats, update)
     return RetrievalStudy(seeds, n_scenes, grid, paper, chosen, by_prefix, times, growth)
@@ -128,7 +129,8 @@ def _scenes(job: Job, size: StudySize) -> tuple[FeatureSet, int]:
     """Somebody's scenes or the embedded towns, and how many there are."""
     features = job.own_features
     if features is None:
-        with progress_bar(f"rendering {size.frames} frames of {size.towns} towns", size.frames) as update:
+        bar = progress_bar(f"rendering {size.frames} frames of {size.towns} towns", size.frames)
+        with job.stage("render"), bar as update:
             features = five_towns(size.frames, size.towns, update)
     counts = np.unique(features.scene_id, return_counts=True)[1]
     if counts.min() < MIN_SCENE_FRAMES:

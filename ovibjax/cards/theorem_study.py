@@ -120,6 +120,7 @@ def _sweep(
         dims=dict.fromkeys((*_MEANS, "left"), ("slot",)),
         coords={"slot": horizon.slots * np.arange(1, horizon.blocks + 1)},
         units={"utility": "m", "gap": "m"},
+        stage="replay",
         # All points of a seed side by side: they share its random numbers, and a lane is small.
         lanes=len(points),
     )

@@ -17,7 +17,7 @@ from tests.edge.cases import KS, STATIC, two_members
 def test_ablation_trains_what_it_names():
     members = two_members()
 
-    def run(description, fn, axes, shared, **options):
+    def run(description, fn, axes, shared, stage="train", **options):
         return sweep.run(fn, axes, shared, **options)
 
     found = ablate(run, STATIC, 3e-3, (GAMMA, 1.0), KS, members, [0, 1])

@@ -131,3 +131,20 @@ def test_a_figure_asked_for_by_name_is_refused(mine):
     (mine / "cards" / "b_easy.py").unlink()
     with pytest.raises(InputError, match="allows no figure"):
         reproduce("smoke", data=[mine / "mine.npz"], out=mine / "out")
+
+
+def test_where_time_goes_is_printed_and_kept_and_what_is_left_estimated(mine, capsys):
+    text = (
+        "import time\nTITLE = 'T'\ndef run(job):\n"
+        "    with job.stage('draw'):\n        time.sleep(0.1)\n    job.record('T', 'text', [1], time.perf_counter())\n"
+    )
+    for name in ("setup", "theorem"):
+        (mine / "cards" / f"{name}.py").write_text(text)
+    reproduce("smoke", ["setup", "theorem"], data=[mine / "mine.npz"], out=mine / "out")
+    lines = [line.strip() for line in capsys.readouterr().err.splitlines()]
+    assert lines.count("draw 0.1 s") == 2 and len([line for line in lines if line.startswith("other ")]) == 2
+    assert len([line for line in lines if line.startswith("features ")]) == 1  # reading the data
+    (left,) = (line for line in lines if "figures" in line)
+    assert left.startswith("1 of 2 figures, some ") and left.endswith(" left")
+    facts = json.loads((mine / "out" / "setup" / "provenance.json").read_text())
+    assert facts["stages"]["draw"] == 0.1 and set(facts["stages"]) == {"other", "draw"} and "compile" in facts

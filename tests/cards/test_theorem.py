@@ -20,7 +20,7 @@ card = load_card(cards_folder() / "theorem.py")
 class Job:
     """Sweeps in memory."""
 
-    def sweep(self, description, fn, axes, shared, **options):
+    def sweep(self, description, fn, axes, shared, stage, **options):
         return sweep.run(fn, axes, shared, **options).assign_attrs(resumed=0)
 
 
