@@ -17,7 +17,7 @@ def codec_claims(frontier: Frontier, link_kb_per_s: float) -> list[Claim]:
     """Claims on size and on speed.
 
     Args:
-        frontier: codecs and O-VIB on the same frames.
+        frontier: codecs and O-VIB on the same seeds.
         link_kb_per_s: throughput, KB/s.
 
     Returns:
@@ -35,7 +35,7 @@ def codec_claims(frontier: Frontier, link_kb_per_s: float) -> list[Claim]:
     size = Claim.at_least(
         f"Every codec needs at least 50 times the bytes of O-VIB-{RIVAL_K} for equal error on the frozen localizer",
         "-",
-        f"{', '.join(texts)} times {own_bytes} B, for O-VIB's {interval(frontier.ovib_m).text('m')} on the same frames",
+        f"{', '.join(texts)} times {own_bytes} B, for O-VIB's {interval(frontier.ovib_m).text('m')}; {frontier.missed}",
         TIMES,
         *map(_known, larger.values()),
         rule="whole interval of the ratio at least 50 for every codec; a codec whose coarsest quality is already as "

@@ -18,6 +18,7 @@ from ovibjax.runtime.batches import padded_batches
 from ovibjax.world.rays import VIEW_YAW_DEG, pinhole_rays
 from ovibjax.world.town.hits import FAR_M, box_spheres, cull, hit_boxes, hit_trees, lookup, sunlit, tree_spheres
 from ovibjax.world.town.layout import Town
+from ovibjax.world.town.pieces import PIECE_PX, cut, joined
 from ovibjax.world.town.route import Route
 from ovibjax.world.town.shading import (
     SEMANTIC_CLASSES,
@@ -105,8 +106,20 @@ def render(town: Town, positions_m: jax.Array, yaw_rad: jax.Array, camera: Camer
     Returns:
         `Views` with leading axis N and M = 5.
     """
-    n = positions_m.shape[0]
-    origin, ray, boxes, trees = _prepare(town, jnp.asarray(positions_m), jnp.asarray(yaw_rad), camera)
+    shape = (positions_m.shape[0], 5, camera.height_px, camera.width_px)
+    prepared = _prepare(town, jnp.asarray(positions_m), jnp.asarray(yaw_rad), camera)
+    if camera.height_px * camera.width_px <= PIECE_PX:
+        flat = _render_rays(town, camera, *prepared)
+    else:
+        pieces = [_render_rays(town, camera, *piece) for piece in cut(*prepared)]
+        flat = jax.tree.map(lambda *parts: joined(parts, shape), *pieces)
+    return Views(flat.rgb.reshape(*shape, 3), flat.depth_m.reshape(shape), flat.semantic.reshape(shape))
+
+
+def _render_rays(
+    town: Town, camera: Camera, origin: jax.Array, ray: list[jax.Array], boxes: jax.Array, trees: jax.Array
+) -> Views:
+    """Images [V, P] of the rays of V views."""
     (t_box, box_slot), (t_tree, tree_slot) = hit_boxes(boxes, origin, ray), hit_trees(trees, origin, ray)
     winners = (lookup(boxes, box_slot), lookup(trees, tree_slot))
     surface = _surface((t_box, t_tree), origin, ray, winners, camera)
@@ -117,26 +130,28 @@ def render(town: Town, positions_m: jax.Array, yaw_rad: jax.Array, camera: Camer
         shade_ground(town, surface.hit, surface.slant),
         shade_sky(surface.direction),
     )
-    flat = _compose(surface, materials, sunlit(boxes, trees, surface.hit))
-    shape = (n, 5, camera.height_px, camera.width_px)
-    return Views(flat.rgb.reshape(*shape, 3), flat.depth_m.reshape(shape), flat.semantic.reshape(shape))
+    return _compose(surface, materials, sunlit(boxes, trees, surface.hit))
 
 
-def render_frames(town: Town, route: Route, frames: NDArray[np.int64]) -> Iterator[tuple[int, Views]]:
+def render_frames(
+    town: Town, route: Route, frames: NDArray[np.int64], camera: Camera | None = None
+) -> Iterator[tuple[int, Views]]:
     """Views of some frames of a drive, as large as the released images.
 
     Args:
         town: the town.
         route: the drive.
         frames: [n] which poses of the drive.
+        camera: image size and culling limits; `FRAME_CAMERA` if None.
 
     Yields:
         Each frame with its views, [M, H, W] NumPy arrays; rendered in batches of one size.
     """
+    camera = camera or FRAME_CAMERA
     # A small town has fewer buildings than the camera keeps.
     n_boxes, n_trees = len(town.boxes), len(town.trees)
-    kept = (min(n_boxes, FRAME_CAMERA.max_boxes), min(n_trees, FRAME_CAMERA.max_trees))
-    camera = replace(FRAME_CAMERA, max_boxes=kept[0], max_trees=kept[1])
+    kept = (min(n_boxes, camera.max_boxes), min(n_trees, camera.max_trees))
+    camera = replace(camera, max_boxes=kept[0], max_trees=kept[1])
     for count, batch in padded_batches(frames, _BATCH):
         poses = (jnp.asarray(route.positions_m[batch]), jnp.asarray(route.yaw_rad[batch]))
         views = [np.asarray(field) for field in render(town, *poses, camera)]

@@ -26,7 +26,7 @@ def rendered(monkeypatch, tmp_path):
     """Frames that had to be rendered, in order."""
     made = []
 
-    def render_frames(town, route, frames):
+    def render_frames(town, route, frames, camera):
         for frame in frames.tolist():
             made.append(frame)
             yield frame, Views((picture(frame) / 255).astype(np.float32), None, None)
