@@ -10,7 +10,7 @@ from ovibjax.cards.ablation_drawing import draw
 from ovibjax.cards.ablation_study import Ablation, ablate, named, table_rows
 from ovibjax.cards.job import Job
 from ovibjax.encoder.bound_margins import check_bounds
-from ovibjax.encoder.loss import GAMMA
+from ovibjax.encoder.loss import GAMMA, LR
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.encoder.training_data import member_data
@@ -44,11 +44,11 @@ class Preset:
 
 PRESETS = {
     "smoke": Preset(2, 30, 3e-3, (0.1, 1.0), (16, 35, 128)),
-    "quick": Preset(3, 1300, 3e-3, (0.01, 0.1, 1.0), (4, 8, 16, 24, 35, 64, 96, 128)),
+    "quick": Preset(3, 2000, LR, (0.01, 0.1, 1.0), (4, 8, 16, 24, 35, 64, 96, 128)),
     "full": Preset(
         5,
-        5000,
-        2e-3,
+        2000,
+        LR,
         (0.001, 0.01, 0.1, 1.0, 10.0),
         (1, 2, 3, 4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 35, 40, 48, 56, 64, 72, 80, 88, 96, 104, 112, 120, 124, 128),
     ),

@@ -13,6 +13,8 @@ from ovibjax.cards.compression_methods import Effort, run_methods
 from ovibjax.cards.compression_results import Results, collect, table_rows
 from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, measure_encoder, overhead_rows
 from ovibjax.cards.job import CardInterrupted, Job
+from ovibjax.encoder.recipe import training_steps
+from ovibjax.encoder.train import TrainConfig
 from ovibjax.encoder.training_data import member_data
 from ovibjax.report.claims import write_claims
 from ovibjax.report.rows import write_rows
@@ -21,9 +23,9 @@ from ovibjax.runtime.precision_choice import faster_precision
 TITLE = "Scalable O-VIB compression"
 SEEDS = {"smoke": 2, "quick": 3, "full": 5}
 EFFORTS = {
-    "smoke": Effort(steps=60, fixed_steps=30, lr=3e-3),
-    "quick": Effort(steps=2200, fixed_steps=800, lr=3e-3),
-    "full": Effort(steps=8000, fixed_steps=4000, lr=2e-3),
+    "smoke": Effort(steps=60, fixed_steps=30),
+    "quick": Effort(fixed_steps=400),
+    "full": Effort(),
 }
 
 
@@ -54,6 +56,7 @@ def run(job: Job) -> None:
     write_claims(job.out / "claims.json", claims)
     with job.stage("draw"):
         draw(job.out / "figure.png", results, frontier)
+    by_rule = training_steps(len(member.train.x), TrainConfig.batch)
     view_dim, kept = member.train.x.shape[2], float(np.mean([b.energy_kept.mean() for _, b in prepared.values()]))
     losses = {method: outcome.losses for method, outcome in next(iter(outcomes.values())).items()}
     job.record(
@@ -63,8 +66,8 @@ def run(job: Job) -> None:
         view_coordinates=view_dim,
         energy_kept=round(kept, 4),
         precision=precision,
-        steps=effort.steps,
-        fixed_steps=effort.fixed_steps,
+        steps=effort.steps or by_rule,
+        fixed_steps=effort.fixed_steps or by_rule,
         final_losses={method: {name: float(v[-1]) for name, v in terms.items()} for method, terms in losses.items()},
     )
     if interrupted:

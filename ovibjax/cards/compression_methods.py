@@ -47,14 +47,12 @@ class Effort:
     """How long to train.
 
     Attributes:
-        steps: steps of the nested models.
-        fixed_steps: steps of the fixed-rate models, which learn one rate only.
-        lr: peak learning rate.
+        steps: steps of the nested models; by the number of frames if None (`encoder.recipe`).
+        fixed_steps: steps of the fixed-rate models, which learn one rate only; likewise.
     """
 
-    steps: int
-    fixed_steps: int
-    lr: float
+    steps: int | None = None
+    fixed_steps: int | None = None
 
 
 class Outcome(NamedTuple):
@@ -96,9 +94,9 @@ def train_config(method: str, data: MemberData, effort: Effort, precision: str) 
     return replace(fixed_rate(static, int(method.removeprefix("fixed_"))), steps=effort.fixed_steps)
 
 
-def hypers_of(method: str, effort: Effort) -> Hypers:
+def hypers_of(method: str) -> Hypers:
     """The paper's weights; plain VIB has no orthogonality penalty."""
-    return make_hypers(gamma=0.0 if method == "vib" else GAMMA, lr=effort.lr)
+    return make_hypers(gamma=0.0 if method == "vib" else GAMMA)
 
 
 def run_method(method: str, seed: int, data: MemberData, effort: Effort, precision: str) -> Outcome:
@@ -116,7 +114,7 @@ def run_method(method: str, seed: int, data: MemberData, effort: Effort, precisi
     """
     static = train_config(method, data, effort, precision)
     views = static.arch.n_views
-    params, losses = _fit(jax.random.key(seed), hypers_of(method, effort), data.train, static)
+    params, losses = _fit(jax.random.key(seed), hypers_of(method), data.train, static)
     trained = Trained(data, params)
     mask = mode_mask(full_mode(views), views)
     judge = partial(_judge_prefixes, trained, static.arch, mask)

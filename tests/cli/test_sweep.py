@@ -59,7 +59,7 @@ def test_every_point_is_trained_and_judged(store):
     assert bool(dataset.finished.all()) and not bool(dataset.diverged.any())
     assert np.isfinite(dataset.test_mean_m).all() and dataset.test_mean_m.attrs["units"] == "m"
     # Nothing but gamma differs between paired members.
-    assert (dataset.loss.isel(gamma=0) != dataset.loss.isel(gamma=1)).all()
+    assert (dataset.orthogonality.isel(gamma=0) != dataset.orthogonality.isel(gamma=1)).all()
 
 
 def test_show_prints_a_table_and_writes_csv_and_plot(store, tmp_path, monkeypatch, capsys):
