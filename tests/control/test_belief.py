@@ -103,7 +103,8 @@ def realizations():
 
         return jax.lax.scan(step, start(draws), slots_in)[1]
 
-    many = jax.jit(jax.vmap(one, (0, None, None)))
+    # Here the arrays are large: optimized code saves more than its making costs.
+    many = jax.jit(jax.vmap(one, (0, None, None)), compiler_options={"xla_backend_optimization_level": 1})
     return lambda env, control: many(jax.random.split(jax.random.key(11), count), env, control)
 
 

@@ -24,7 +24,7 @@ from ovibjax.world.town.shading import SEMANTIC_CLASSES
 CONFIG = TownConfig()
 N_FRAMES, SEED = 3, 1
 NAMES = [f"{frame:06d}" for frame in range(N_FRAMES)]
-CAMERA = replace(FRAME_CAMERA, height_px=90, width_px=120)
+CAMERA = replace(FRAME_CAMERA, height_px=48, width_px=64)
 SHAPE = (CAMERA.height_px, CAMERA.width_px)
 
 
