@@ -5,15 +5,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from ovibjax.edge.judging import Trained, judge, judge_prefixes, judge_raw, one_standard_error_choice
+from ovibjax.edge import judging
+from ovibjax.edge.judging import Trained, one_standard_error_choice
 from ovibjax.edge.localize import ETAS
-from ovibjax.encoder.model import Architecture, decode, encode, init, locate
-from ovibjax.encoder.pca import fit_pca, pca_reconstruct
+from ovibjax.encoder import model, pca
+from ovibjax.encoder.model import Architecture, init
 from ovibjax.encoder.training_data import member_data
 from ovibjax.views import mode_mask
 from tests.encoder.cases import smooth_frames
 
 ARCH = Architecture(n_views=4, view_dim=6, latent=8, hidden=16, last_hidden=12, head=8)
+
+# One program each, not one for every operation in them.
+judge_prefixes = jax.jit(judging.judge_prefixes, static_argnames=("arch", "recode"))
+judge_raw = jax.jit(judging.judge_raw, static_argnames="arch")
+encode, decode, locate = (jax.jit(f, static_argnames="arch") for f in (model.encode, model.decode, model.locate))
+fit_pca, pca_reconstruct = jax.jit(pca.fit_pca, static_argnums=1), jax.jit(pca.pca_reconstruct)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +35,7 @@ def member(feature_set):
 
 @pytest.fixture(scope="module")
 def params():
-    return init(jax.random.key(3), ARCH)
+    return jax.jit(init, static_argnums=1)(jax.random.key(3), ARCH)
 
 
 def oracle(params, member, mask, codec, recode):
@@ -60,14 +67,14 @@ def test_prefixes_match_the_protocol(params, member, mode, linear) -> None:
     ks = [2, 5, 8]
     # A re-coded database is tried with the linear code: an untrained network maps all references to one direction,
     # where rounding decides which of them is nearest.
-    pca = fit_pca(member.train.x, 8) if linear else None
-    judged = judge_prefixes(Trained(member, params), ARCH, mask, jnp.array(ks), pca=pca, recode=linear)
+    linear_code = fit_pca(member.train.x, 8) if linear else None
+    judged = judge_prefixes(Trained(member, params), ARCH, mask, jnp.array(ks), pca=linear_code, recode=linear)
     for i, k in enumerate(ks):
         keep = jnp.asarray((np.arange(8) < k).astype(np.float32))
 
         def codec(x, keep=keep):
-            if pca is not None:
-                return pca_reconstruct(pca, x, keep)
+            if linear_code is not None:
+                return pca_reconstruct(linear_code, x, keep)
             return decode(params, encode(params, x, ARCH)[0], keep, ARCH)
 
         error = oracle(params, member, mask, codec, recode=linear)
@@ -89,7 +96,7 @@ def test_raw_retrieval_of_a_reference_is_exact(params, member) -> None:
 def test_test_frames_do_not_choose_the_mixing_weight(params, member) -> None:
     shuffled = member._replace(test_m=member.test_m[::-1] + 50.0)
     mask = mode_mask("H4", 4)
-    one, other = (judge(Trained(m, params), ARCH, mask, lambda x: x) for m in (member, shuffled))
+    one, other = (judge_raw(Trained(m, params), ARCH, mask) for m in (member, shuffled))
     assert float(one.eta) == float(other.eta)
     np.testing.assert_array_equal(one.val_error_m, other.val_error_m)
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from ovibjax.encoder import linear_start as module
 from ovibjax.encoder import model
-from ovibjax.encoder.linear_start import linear_start, principal_axes
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.orthogonality import orthogonality_penalty
 from ovibjax.encoder.train import TrainConfig, fit
@@ -16,10 +16,15 @@ from tests.encoder.cases import UAV, make_data
 
 COMPLETING = dataclasses.replace(UAV, kind="completing", rank=20, last_hidden=20)
 
+# One program each, not one for every operation in them.
+init, decode = jax.jit(model.init, static_argnums=1), jax.jit(model.decode, static_argnums=3)
+encode, principal_axes = jax.jit(model.encode, static_argnums=2), jax.jit(module.principal_axes, static_argnums=1)
+linear_start = jax.jit(module.linear_start, static_argnums=2)
+
 
 def untrained(arch):
     """A network at its start, its corrections taken away: what is left is linear."""
-    params = linear_start(model.init(jax.random.key(0), arch), make_data().x, arch)
+    params = linear_start(init(jax.random.key(0), arch), make_data().x, arch)
     tree = dict(params["params"])
     for name in ("encoder_2", "completion", *(f"descriptor_{view}" for view in range(5))):
         if name in tree:
@@ -46,38 +51,38 @@ def test_without_corrections_the_code_is_pca(kind, k):
     x = make_data().x.reshape(64, -1)
     axes = principal_axes(x, k)
     params, kept = untrained(arch), jnp.asarray(np.arange(8) < k, jnp.float32)
-    decoded = model.decode(params, model.encode(params, x, arch)[0], kept, arch)
+    decoded = decode(params, encode(params, x, arch)[0], kept, arch)
     np.testing.assert_allclose(decoded, x @ axes @ axes.T, atol=2e-5)
     assert float(orthogonality_penalty(model.mean_projection(params))) == 0.0
 
 
 def test_every_coordinate_that_came_is_kept_and_every_other_is_predicted():
-    params = linear_start(model.init(jax.random.key(1), COMPLETING), make_data().x, COMPLETING)
+    params = linear_start(init(jax.random.key(1), COMPLETING), make_data().x, COMPLETING)
     z = jax.random.normal(jax.random.key(2), (6, 8))
     axes = principal_axes(make_data().x.reshape(64, -1), 20)
     for k in (2, 8):
         kept = jnp.asarray(np.arange(8) < k, jnp.float32)
-        coordinates = model.decode(params, z, kept, COMPLETING) @ axes
+        coordinates = decode(params, z, kept, COMPLETING) @ axes
         np.testing.assert_allclose(coordinates[:, :k], z[:, :k], atol=1e-5)
         assert float(jnp.abs(coordinates[:, k:]).min(axis=0).max()) > 1e-4
     # What was not sent has no part in it.
     other = z.at[:, 2:].add(3.0)
     kept = jnp.asarray(np.arange(8) < 2, jnp.float32)
-    decoded = (model.decode(params, code, kept, COMPLETING) for code in (z, other))
+    decoded = (decode(params, code, kept, COMPLETING) for code in (z, other))
     np.testing.assert_array_equal(*decoded)
 
 
 def test_training_begins_there_and_clips():
     static = TrainConfig(arch=COMPLETING, prefixes=(2, 8), steps=4, batch=16, clip=1e-8)
     params, _ = jax.jit(fit, static_argnums=3)(jax.random.key(0), make_hypers(weight_decay=0.0), make_data(), static)
-    start = linear_start(model.init(jax.random.split(jax.random.key(0), 3)[0], COMPLETING), make_data().x, COMPLETING)
+    start = linear_start(init(jax.random.split(jax.random.key(0), 3)[0], COMPLETING), make_data().x, COMPLETING)
     moved = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), params, start)
     assert 0.0 < max(jax.tree.leaves(moved)) < 0.02
 
 
 def test_a_dense_network_is_left_as_it_is():
-    params = model.init(jax.random.key(0), UAV)
-    assert linear_start(params, make_data().x, UAV) is params
+    params = init(jax.random.key(0), UAV)
+    assert module.linear_start(params, make_data().x, UAV) is params
 
 
 @pytest.mark.parametrize("wrong", [{"kind": "deep"}, {"wave": "cosine"}, {"kind": "linear", "rank": 7}])

@@ -1,6 +1,7 @@
 """The whole chain: stages against their own references, conservation between them, a point alone against the grid."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -58,6 +59,12 @@ def made(scene):
 
 
 compiled = jax.jit(chain.along, static_argnames="static")
+serve = jax.jit(stages.serve, static_argnames="static")
+
+
+@partial(jax.jit, static_argnames="static")
+def arrivals(key, history, routes, k, data, static):
+    return stages.arrivals(key, history, routes, SweptActions(modes=static.modes, k=k), data, static)
 
 
 @pytest.fixture(scope="module")
@@ -151,10 +158,8 @@ def test_every_request_reaches_its_server_once_and_no_byte_is_lost(made, staged)
             assert np.ptp(workload.requests.urgency[server, rows]) == 0
     # Too little room for requests is not silent.
     tight = replace(static, requests=2)
-    few = stages.arrivals(
-        *(jax.random.key(0), history, staged[1], SweptActions(modes=static.modes, k=jnp.int32(8)), data, tight)
-    )
-    lost = stages.serve(few, history, jnp.ones(1), data, replace(tight, schedulers=("fifo",)))["unserved"]
+    few = arrivals(jax.random.key(0), history, staged[1], jnp.int32(8), data, tight)
+    lost = serve(few, history, jnp.ones(1), data, replace(tight, schedulers=("fifo",)))["unserved"]
     assert int(lost[0, 0]) == int(sent[np.asarray(data.fleet)].sum()) - 2 * data.fleet.size
 
 
@@ -162,12 +167,11 @@ def test_an_idle_server_adds_its_service_time_alone(made, staged):
     data, static = made
     history, routes = staged[2], staged[1]
     far = data._replace(fleet=jnp.array([[0]], jnp.int32))
-    actions = SweptActions(modes=static.modes, k=jnp.int32(KS[1]))
-    workload = stages.arrivals(jax.random.key(1), history, routes, actions, far, static)
+    workload = arrivals(jax.random.key(1), history, routes, jnp.int32(KS[1]), far, static)
     one = jax.tree.map(lambda leaf: leaf[0], workload)
     valid = np.asarray(one.requests.valid)
     np.testing.assert_array_equal(np.asarray(waits(one.requests, "fifo", data.scheduler))[valid], 0.0)
-    judged = stages.serve(workload, history, jnp.ones(1), far, replace(static, schedulers=("fifo",)))
+    judged = serve(workload, history, jnp.ones(1), far, replace(static, schedulers=("fifo",)))
     expected = np.percentile(np.asarray(one.requests.service_ms)[valid], 95)
     np.testing.assert_allclose(judged["all_edge_p95_ms"], [[expected]], rtol=1e-5)
     floor_ms = float(EDGE.decode_ms + EDGE.retrieve_ms + EDGE.runtime_ms)
