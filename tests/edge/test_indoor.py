@@ -12,7 +12,8 @@ from ovibjax.edge.indoor import DIMS, Protocol
 from ovibjax.edge.indoor_data import scene_data
 from ovibjax.edge.localize import ETAS
 from ovibjax.edge.view_fusion import kept_weights
-from ovibjax.encoder.model import Architecture, decode, encode, locate
+from ovibjax.encoder import model
+from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.views import MODES, mode_mask
 from tests.edge.cases import some_frames
@@ -23,17 +24,28 @@ ARCH = Architecture(n_views=4, view_dim=6, latent=8, hidden=16, last_hidden=12, 
 PROTOCOL = Protocol(TrainConfig(ARCH, prefixes=(2, 8), steps=24, warmup=4), prefixes=(2, 8), checkpoints=3, lr=1e-2)
 
 
+encode, decode, locate = (quick(f, static_argnames="arch") for f in (model.encode, model.decode, model.locate))
+
+
 @functools.cache
 def scene():
     return scene_data(some_frames(31, 1), some_frames(12, 2), rank=6)
 
 
+@quick
+def whole(key, pair):
+    """The whole protocol as one program: what it learnt on the way, and its outputs."""
+    kept = []
+    with pytest.MonkeyPatch.context() as patch:  # as it is traced
+        patch.setattr(indoor, "learn", lambda *inputs, learn=indoor.learn: kept.append(learn(*inputs)) or kept[0])
+        answers = PROTOCOL(key, {}, pair)
+    return kept[0], answers
+
+
 @pytest.fixture(scope="module")
 def outcome():
-    """Outputs of the whole protocol, and what was learnt."""
-    learned = quick(indoor.learn, static_argnums=2)(jax.random.key(3), scene()[0], PROTOCOL)
-    answers = quick(indoor.answer, static_argnums=3)(learned, *scene(), PROTOCOL)
-    return jax.device_get((learned, answers))
+    """What was learnt, and the outputs."""
+    return jax.device_get(whole(jax.random.key(3), scene()))
 
 
 def test_the_references_are_split_by_place_and_the_basis_sees_training_rows_only():
@@ -107,8 +119,7 @@ def test_queries_change_nothing_that_is_learnt():
     """By their types `learn` cannot see them; here through the whole function, on shuffled and shifted queries."""
     references, queries = some_frames(31, 1), some_frames(12, 2)
     strange = queries._replace(features=queries.features[::-1, ::-1], positions_m=queries.positions_m + 50)
-    whole = quick(lambda key, pair: PROTOCOL(key, {}, pair))
-    one, other = (whole(jax.random.key(3), scene_data(references, asked, 6)) for asked in (queries, strange))
+    one, other = (whole(jax.random.key(3), scene_data(references, asked, 6))[1] for asked in (queries, strange))
     for name in ("eta", "val_m", "weights", "fold_m", "fold_uniform_m", "score", "best"):
         np.testing.assert_array_equal(one[name], other[name])
     assert not np.allclose(one["ovib_m"], other["ovib_m"])
