@@ -17,6 +17,7 @@ from ovibjax.scheduling.rules import default_params
 from ovibjax.scheduling.shared_queue import Mission
 
 SLOTS = 40
+MANY = 60  # for every test, as each number of clients is a program of its own
 
 
 def make_params(**changes: float) -> ControlParams:
@@ -44,7 +45,7 @@ def replay(n: int, params: ControlParams, routes: Route, scheduler: str) -> Coup
 
 @pytest.mark.parametrize("scheduler", ["fifo", "voi_lyapunov"])
 def test_every_request_is_served_once_by_one_server(scheduler: str) -> None:
-    n = 12
+    n = MANY
     result = jax.device_get(replay(n, make_params(), make_routes(n), scheduler))
     sent, served = result.info.sent, result.served
     assert sent.sum() > n
@@ -68,7 +69,8 @@ def test_a_client_alone_corrects_as_in_the_decoupled_replay() -> None:
     result = jax.device_get(replay(1, params, make_routes(1), "fifo"))
     route = jax.tree.map(lambda leaf: leaf[0], make_routes(1))
     key = jax.random.fold_in(jax.random.key(1), 0)
-    alone = jax.device_get(simulate(draw(key, route, params.env, ACTIONS), route, "voi", params))
+    drawn = jax.jit(draw, static_argnames="actions")(key, route, params.env, ACTIONS)
+    alone = jax.device_get(jax.jit(simulate, static_argnames="policy")(drawn, route, "voi", params))
     np.testing.assert_array_equal(result.info.sent[:, 0], alone.sent)
     np.testing.assert_array_equal(result.info.action[:, 0][alone.sent], alone.action[alone.sent])
     np.testing.assert_allclose(result.info.error_m[:, 0], alone.error_m, rtol=1e-4, atol=1e-4)
@@ -76,14 +78,14 @@ def test_a_client_alone_corrects_as_in_the_decoupled_replay() -> None:
 
 
 def test_arrivals_feel_the_queue() -> None:
-    few = jax.device_get(replay(2, make_params(), make_routes(2), "fifo"))
+    alone = jax.device_get(replay(1, make_params(), make_routes(1), "fifo"))
     priced = make_params()
-    many = jax.device_get(replay(60, priced, make_routes(60), "fifo"))
-    assert many.edge_ms[many.served].mean() > 3 * few.edge_ms[few.served].mean()
-    assert many.backlog_ms.max() > few.backlog_ms.max()
+    many = jax.device_get(replay(MANY, priced, make_routes(MANY), "fifo"))
+    assert many.edge_ms[many.served].mean() > 3 * alone.edge_ms[alone.served].mean()
+    assert many.backlog_ms.max() > alone.backlog_ms.max()
     # A price on delay keeps requests away while the edge is busy.
     dear = priced._replace(
         control=priced.control._replace(prices=priced.control.prices._replace(delay_m_per_s=jnp.float32(200.0)))
     )
-    fewer = jax.device_get(replay(60, dear, make_routes(60), "fifo"))
+    fewer = jax.device_get(replay(MANY, dear, make_routes(MANY), "fifo"))
     assert fewer.info.sent.sum() < many.info.sent.sum()
