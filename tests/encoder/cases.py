@@ -23,6 +23,7 @@ UAV = Architecture(n_views=5, view_dim=6, latent=8, hidden=16, last_hidden=12, h
 UGV = dataclasses.replace(UAV, n_views=4)
 
 
+@functools.cache
 def shapes_of(arch):
     return jax.eval_shape(functools.partial(init, arch=arch), jax.random.key(0))
 

@@ -196,7 +196,7 @@ def test_a_vmap_over_hyperparameters_equals_a_loop():
 
 def test_only_views_of_sampled_modes_are_trained(monkeypatch):
     data, hypers = make_data(), make_hypers(lr=1e-2, weight_decay=0.0)
-    start = initial(jax.random.split(jax.random.key(0), 3)[0], SAMPLED)["params"]["token"]
+    start = initial(jax.random.split(jax.random.key(0), 3)[0], RUN)["params"]["token"]
     mixed, _ = train(jax.random.key(0), hypers, data, SAMPLED)
     assert np.all(np.abs(np.asarray(mixed["params"]["token"] - start)).max(axis=(1, 2)) > 1e-3)
     # A function of its own is traced anew.
