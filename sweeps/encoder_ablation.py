@@ -10,7 +10,7 @@ from ovibjax.cards.ablation_drawing import draw
 from ovibjax.cards.ablation_study import Ablation, ablate, named, table_rows
 from ovibjax.cards.job import Job
 from ovibjax.encoder.bound_margins import check_bounds
-from ovibjax.encoder.loss import GAMMA, LR
+from ovibjax.encoder.loss import GAMMA
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.encoder.training_data import member_data
@@ -29,26 +29,23 @@ class Preset:
 
     Attributes:
         seeds: number of seeds.
-        steps: training steps.
-        lr: peak learning rate.
+        steps: training steps; by the number of frames if None (`encoder.recipe`).
         gammas: positive orthogonality weights.
         ks: prefixes judged.
     """
 
     seeds: int
-    steps: int
-    lr: float
+    steps: int | None
     gammas: tuple[float, ...]
     ks: tuple[int, ...]
 
 
 PRESETS = {
-    "smoke": Preset(2, 30, 3e-3, (0.1, 1.0), (16, 35, 128)),
-    "quick": Preset(3, 2000, LR, (0.01, 0.1, 1.0), (4, 8, 16, 24, 35, 64, 96, 128)),
+    "smoke": Preset(2, 30, (0.1, 1.0), (16, 35, 128)),
+    "quick": Preset(3, None, (0.01, 0.1, 1.0), (4, 8, 16, 24, 35, 64, 96, 128)),
     "full": Preset(
         5,
-        2000,
-        LR,
+        None,
         (0.001, 0.01, 0.1, 1.0, 10.0),
         (1, 2, 3, 4, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 35, 40, 48, 56, 64, 72, 80, 88, 96, 104, 112, 120, 124, 128),
     ),
@@ -65,16 +62,17 @@ def run(job: Job) -> None:
     views, dim = members[0].train.x.shape[1:]
     arch = Architecture(n_views=views, view_dim=dim)
     static = TrainConfig(arch, steps=preset.steps, precision=faster_precision())
+    steps = static.steps_on(len(members[0].train.x))
     with job.stage("judge"):
-        found = ablate(job.sweep, static, preset.lr, preset.gammas, preset.ks, members, seeds)
+        found = ablate(job.sweep, static, preset.gammas, preset.ks, members, seeds)
         claims = judge_claims(preset, found)
     write_rows(job.out / "table.csv", table_rows(found))
     write_claims(job.out / "claims.json", claims)
     with job.stage("draw"):
         draw(job.out / "figure.png", found, preset.gammas, K, PAPER_M)
     job.record(
-        *(TITLE, caption(preset, static.precision, found), seeds, started),
-        steps=preset.steps,
+        *(TITLE, caption(preset, steps, static.precision, found), seeds, started),
+        steps=steps,
         precision=static.precision,
         selected_gamma=found.selected_gamma(K),
         diverged=int(found.trained.diverged.sum()),
@@ -182,11 +180,11 @@ def _theory(found: Ablation) -> list[Claim]:
     return [proposition, *bounds]
 
 
-def caption(preset: Preset, precision: str, found: Ablation) -> str:
+def caption(preset: Preset, steps: int, precision: str, found: Ablation) -> str:
     """What the reader of the figure needs to know."""
     orthogonal = found.spectra[GAMMA]
     return (
-        f"Trained {preset.steps} steps per member, {precision} products; bands and bars are 95 % intervals over "
+        f"Trained {steps} steps per member, {precision} products; bands and bars are 95 % intervals over "
         f"{preset.seeds} seeds (split, initialisation, minibatches; common to all variants). (a) Orthogonality "
         f"weight at k = {K}; star: selected on validation among γ > 0. (b) Coordinates of Full (γ = {GAMMA:g}, "
         f"β = 0.001) kept in other orders; random: eight permutations. (c) Components at k = {K}, each trained "

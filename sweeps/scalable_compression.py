@@ -9,12 +9,10 @@ from ovibjax.cards.codec_frontier import RIVAL_K, Frontier
 from ovibjax.cards.codec_study import code_and_judge
 from ovibjax.cards.compression_claims import compression_claims
 from ovibjax.cards.compression_drawing import draw
-from ovibjax.cards.compression_methods import Effort, run_methods
+from ovibjax.cards.compression_methods import run_methods, train_config
 from ovibjax.cards.compression_results import Results, collect, table_rows
 from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, measure_encoder, overhead_rows
 from ovibjax.cards.job import CardInterrupted, Job
-from ovibjax.encoder.recipe import training_steps
-from ovibjax.encoder.train import TrainConfig
 from ovibjax.encoder.training_data import member_data
 from ovibjax.report.claims import write_claims
 from ovibjax.report.rows import write_rows
@@ -22,22 +20,19 @@ from ovibjax.runtime.precision_choice import faster_precision
 
 TITLE = "Scalable O-VIB compression"
 SEEDS = {"smoke": 2, "quick": 3, "full": 5}
-EFFORTS = {
-    "smoke": Effort(steps=60, fixed_steps=30),
-    "quick": Effort(fixed_steps=400),
-    "full": Effort(),
-}
+STEPS = {"smoke": 60, "quick": None, "full": None}
+"""Training steps of every method; None: by the number of frames (`encoder.recipe`)."""
 
 
 def run(job: Job) -> None:
     """Run the card: train, judge, code images, write tables, claims and figure; Ctrl-C keeps the finished seeds."""
     started = time.perf_counter()
-    effort, precision = EFFORTS[job.preset], faster_precision()
+    steps, precision = STEPS[job.preset], faster_precision()
     seeds = range(job.seed, job.seed + SEEDS[job.preset])
     with job.stage("features"):
         prepared = {seed: member_data(job.features, seed, job.rank) for seed in seeds}
     with job.stage("train"):
-        outcomes, interrupted = run_methods(prepared, effort, precision)
+        outcomes, interrupted = run_methods(prepared, steps, precision)
     frontier, codec_note = None, " Image codecs are left out: the run was interrupted."
     if not interrupted:
         try:
@@ -56,7 +51,6 @@ def run(job: Job) -> None:
     write_claims(job.out / "claims.json", claims)
     with job.stage("draw"):
         draw(job.out / "figure.png", results, frontier)
-    by_rule = training_steps(len(member.train.x), TrainConfig.batch)
     view_dim, kept = member.train.x.shape[2], float(np.mean([b.energy_kept.mean() for _, b in prepared.values()]))
     losses = {method: outcome.losses for method, outcome in next(iter(outcomes.values())).items()}
     job.record(
@@ -66,8 +60,7 @@ def run(job: Job) -> None:
         view_coordinates=view_dim,
         energy_kept=round(kept, 4),
         precision=precision,
-        steps=effort.steps or by_rule,
-        fixed_steps=effort.fixed_steps or by_rule,
+        steps=train_config("ovib", member, steps, precision).steps_on(len(member.train.x)),
         final_losses={method: {name: float(v[-1]) for name, v in terms.items()} for method, terms in losses.items()},
     )
     if interrupted:

@@ -4,7 +4,15 @@ import time
 from dataclasses import dataclass
 
 from ovibjax.cards.fixed_rate_drawing import draw
-from ovibjax.cards.fixed_rate_study import FixedRateStudy, K, table_rows, time_encoders, train_fusion, train_grid
+from ovibjax.cards.fixed_rate_study import (
+    FixedRateStudy,
+    K,
+    table_rows,
+    time_encoders,
+    train_config,
+    train_fusion,
+    train_grid,
+)
 from ovibjax.cards.job import Job
 from ovibjax.encoder.loss import BETA, GAMMA
 from ovibjax.encoder.training_data import member_data
@@ -21,8 +29,7 @@ class Preset:
 
     Attributes:
         seeds: number of seeds.
-        steps: training steps of the fixed-rate models.
-        lr: their peak learning rate.
+        steps: training steps of the fixed-rate models; by the number of frames if None (`encoder.recipe`).
         fusion_seeds: seeds of the attention baseline.
         fusion_steps: its training steps.
         betas: ARD weights, at gamma = 0.1.
@@ -30,8 +37,7 @@ class Preset:
     """
 
     seeds: int
-    steps: int
-    lr: float
+    steps: int | None
     fusion_seeds: int
     fusion_steps: int
     betas: tuple[float, ...]
@@ -49,9 +55,9 @@ class Preset:
 
 
 PRESETS = {
-    "smoke": Preset(2, 30, 3e-3, 2, 10, (1e-3, 1e-1), (0.0, 0.1)),
-    "quick": Preset(3, 800, 3e-3, 2, 300, (1e-3, 1e-2, 1e-1, 3e-1), (0.0, 0.1, 1.0)),
-    "full": Preset(10, 2000, 3e-3, 5, 3000, (1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 3e-1), (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)),
+    "smoke": Preset(2, 30, 2, 10, (1e-3, 1e-1), (0.0, 0.1)),
+    "quick": Preset(3, None, 2, 3000, (1e-3, 1e-2, 1e-1, 3e-1), (0.0, 0.1, 1.0)),
+    "full": Preset(10, None, 5, 3000, (1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 3e-1), (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)),
 }
 
 
@@ -64,7 +70,9 @@ def run(job: Job) -> None:
         members = [member_data(job.features, seed, job.rank)[0] for seed in seeds]
     grid = [*preset.over_beta, *(point for point in preset.over_gamma if point not in preset.over_beta)]
     first = slice(preset.fusion_seeds)
-    trained = train_grid(job.sweep, grid, preset.steps, preset.lr, precision, members, seeds)
+    static = train_config(members[0], preset.steps, precision)
+    steps = static.steps_on(len(members[0].train.x))
+    trained = train_grid(job.sweep, grid, static, members, seeds)
     fusion = train_fusion(job.sweep, preset.fusion_steps, members[first], seeds[first])
     with job.stage("time"):
         found = FixedRateStudy(trained, fusion, time_encoders(members[0]))
@@ -74,8 +82,8 @@ def run(job: Job) -> None:
         draw(job.out / "figure.png", found, preset.over_beta, preset.over_gamma)
     beta, gamma = found.best()
     job.record(
-        *(TITLE, caption(preset, found), seeds, started),
-        steps=preset.steps,
+        *(TITLE, caption(preset, steps, found), seeds, started),
+        steps=steps,
         fusion_steps=preset.fusion_steps,
         precision=precision,
         selected={"beta": beta, "gamma": gamma},
@@ -145,10 +153,10 @@ def _orthogonality(preset: Preset, found: FixedRateStudy) -> Claim:
     )
 
 
-def caption(preset: Preset, found: FixedRateStudy) -> str:
+def caption(preset: Preset, steps: int, found: FixedRateStudy) -> str:
     """What the reader of the figure needs to know."""
     return (
-        f"Fixed rate K = {K}, log-uniform prior, {preset.steps} steps, {preset.seeds} trials per point; bands are "
+        f"Fixed rate K = {K}, log-uniform prior, {steps} steps, {preset.seeds} trials per point; bands are "
         "95 % intervals over trials. (a) Weight of the ARD term at γ = 0.1: coordinates not pruned (log α at most 3) "
         "and error. (b) Error over β at γ = 0.1 and (c) over γ at β = 0.001; every trial a dot, star: lowest "
         f"validation error of the panel; dashed: attention fusion of all views, no bottleneck ({preset.fusion_steps} "

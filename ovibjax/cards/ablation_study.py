@@ -67,7 +67,6 @@ def named(gamma: float) -> str:
 def ablate(
     sweep: Sweep,
     static: TrainConfig,
-    lr: float,
     gammas: tuple[float, ...],
     ks: tuple[int, ...],
     members: list[MemberData],
@@ -78,7 +77,6 @@ def ablate(
     Args:
         sweep: runs a sweep.
         static: architecture and steps.
-        lr: peak learning rate.
         gammas: positive orthogonality weights; the paper's must be among them.
         ks: prefixes judged.
         members: data per seed.
@@ -94,7 +92,7 @@ def ablate(
     coords = {"prefix": list(ks)}
     dataset = sweep(
         "training and judging variants",
-        TrainAndJudge(static, ks, (mode,), lr=lr, keep_params=True),
+        TrainAndJudge(static, ks, (mode,), keep_params=True),
         {"variant": list(variants), "beta": beta, "gamma": gamma, "nesting": nesting, "seed": seeds},
         Along("seed", members),
         zipped=[["variant", "beta", "gamma", "nesting"]],

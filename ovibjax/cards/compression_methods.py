@@ -6,7 +6,6 @@ own latent dimension K with the ARD prior; `pca` the linear code at the same num
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -42,19 +41,6 @@ _judge_prefixes = jax.jit(judge_prefixes, static_argnames=("arch", "recode"))
 judge_raw_jit = jax.jit(judge_raw, static_argnames="arch")
 
 
-@dataclass(frozen=True)
-class Effort:
-    """How long to train.
-
-    Attributes:
-        steps: steps of the nested models; by the number of frames if None (`encoder.recipe`).
-        fixed_steps: steps of the fixed-rate models, which learn one rate only; likewise.
-    """
-
-    steps: int | None = None
-    fixed_steps: int | None = None
-
-
 class Outcome(NamedTuple):
     """What one trained method contributes on one seed; arrays on the host.
 
@@ -86,12 +72,10 @@ def architecture_of(data: MemberData) -> Architecture:
     return Architecture(n_views=views, view_dim=dim, latent=LATENT)
 
 
-def train_config(method: str, data: MemberData, effort: Effort, precision: str) -> TrainConfig:
-    """Static choices of a trained method."""
-    static = TrainConfig(arch=architecture_of(data), steps=effort.steps, precision=precision)
-    if not method.startswith("fixed_"):
-        return static
-    return replace(fixed_rate(static, int(method.removeprefix("fixed_"))), steps=effort.fixed_steps)
+def train_config(method: str, data: MemberData, steps: int | None, precision: str) -> TrainConfig:
+    """Static choices of a trained method; all are trained alike."""
+    static = TrainConfig(arch=architecture_of(data), steps=steps, precision=precision)
+    return fixed_rate(static, int(method.removeprefix("fixed_"))) if method.startswith("fixed_") else static
 
 
 def hypers_of(method: str) -> Hypers:
@@ -99,20 +83,20 @@ def hypers_of(method: str) -> Hypers:
     return make_hypers(gamma=0.0 if method == "vib" else GAMMA)
 
 
-def run_method(method: str, seed: int, data: MemberData, effort: Effort, precision: str) -> Outcome:
+def run_method(method: str, seed: int, data: MemberData, steps: int | None, precision: str) -> Outcome:
     """Train one method on one seed and judge it, in the mode that uses every view.
 
     Args:
         method: one of `TRAINED`.
         seed: initialisation, minibatch order and noise; shared by all methods.
         data: the seed's data.
-        effort: how long to train.
+        steps: training steps; by the number of frames if None (`encoder.recipe`).
         precision: operands of the networks' products.
 
     Returns:
         The outcome, on the host.
     """
-    static = train_config(method, data, effort, precision)
+    static = train_config(method, data, steps, precision)
     views = static.arch.n_views
     params, losses = _fit(jax.random.key(seed), hypers_of(method), data.train, static)
     trained = Trained(data, params)
@@ -134,13 +118,13 @@ def run_method(method: str, seed: int, data: MemberData, effort: Effort, precisi
 
 
 def run_methods(
-    prepared: Mapping[int, tuple[MemberData, ViewBasis]], effort: Effort, precision: str
+    prepared: Mapping[int, tuple[MemberData, ViewBasis]], steps: int | None, precision: str
 ) -> tuple[dict[int, dict[str, Outcome]], bool]:
     """Train and judge every method on every seed, with a progress bar; Ctrl-C keeps the seeds that are finished.
 
     Args:
         prepared: data and basis per seed.
-        effort: how long to train.
+        steps: training steps; by the number of frames if None (`encoder.recipe`).
         precision: operands of the networks' products.
 
     Returns:
@@ -154,7 +138,7 @@ def run_methods(
 
     def work(task: tuple[int, str]) -> tuple[int, str, Outcome]:
         seed, method = task
-        return seed, method, run_method(method, seed, prepared[seed][0], effort, precision)
+        return seed, method, run_method(method, seed, prepared[seed][0], steps, precision)
 
     interrupted = False
     try:

@@ -48,12 +48,17 @@ class FixedRateStudy:
         return float(self.trained.beta[point]), float(self.trained.gamma[point])
 
 
+def train_config(member: MemberData, steps: int | None, precision: str) -> TrainConfig:
+    """Static choices of a fixed-rate model on these data."""
+    views, dim = member.train.x.shape[1:]
+    arch = Architecture(n_views=views, view_dim=dim)
+    return fixed_rate(TrainConfig(arch, steps=steps, precision=precision), K)
+
+
 def train_grid(
     sweep: Sweep,
     points: Sequence[tuple[float, float]],
-    steps: int,
-    lr: float,
-    precision: str,
+    static: TrainConfig,
     members: list[MemberData],
     seeds: list[int],
 ) -> xarray.Dataset:
@@ -62,22 +67,17 @@ def train_grid(
     Args:
         sweep: runs a sweep.
         points: weights (beta, gamma) of the ARD term and of the orthogonality penalty.
-        steps: training steps.
-        lr: peak learning rate.
-        precision: operands of the network's products.
+        static: choices of a model, see `train_config`.
         members: data per seed.
         seeds: seeds, common to all points.
 
     Returns:
         Errors and active dimensions, [point, seed].
     """
-    views, dim = members[0].train.x.shape[1:]
-    arch = Architecture(n_views=views, view_dim=dim)
-    static = fixed_rate(TrainConfig(arch, steps=steps, precision=precision), K)
     beta, gamma = zip(*points, strict=True)
     dataset = sweep(
         "training fixed-rate models",
-        TrainAndJudge(static, (K,), (full_mode(views),), lr=lr),
+        TrainAndJudge(static, (K,), (full_mode(static.arch.n_views),)),
         {"beta": beta, "gamma": gamma, "seed": seeds},
         Along("seed", members),
         zipped=[["beta", "gamma"]],

@@ -50,6 +50,11 @@ class TrainConfig:
     linear_lr: float = 0.05
     precision: str = "float32"
 
+    def steps_on(self, n: int) -> int:
+        """Steps that are taken on n training examples: whole epochs."""
+        _, per_epoch, epochs = schedule_of(self.steps, self.batch, n)
+        return per_epoch * epochs
+
 
 def fixed_rate(static: TrainConfig, latent: int) -> TrainConfig:
     """The fixed-rate model of the conference version: one code length K, the ARD prior (paper, eq. "ardkl").
@@ -59,9 +64,10 @@ def fixed_rate(static: TrainConfig, latent: int) -> TrainConfig:
         latent: latent dimension K, the only prefix.
 
     Returns:
-        The same choices otherwise.
+        The same choices otherwise, but that the linear paths learn as fast as the rest: there is no longer prefix to
+        keep them for, and the ARD prior prunes coordinates of theirs.
     """
-    return replace(static, arch=replace(static.arch, latent=latent), prefixes=(latent,), prior="ard")
+    return replace(static, arch=replace(static.arch, latent=latent), prefixes=(latent,), prior="ard", linear_lr=1.0)
 
 
 class TrainData(NamedTuple):

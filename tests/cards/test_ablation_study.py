@@ -20,13 +20,13 @@ def test_ablation_trains_what_it_names():
     def run(description, fn, axes, shared, stage="train", **options):
         return sweep.run(fn, axes, shared, **options)
 
-    found = ablate(run, STATIC, 3e-3, (GAMMA, 1.0), KS, members, [0, 1])
+    found = ablate(run, STATIC, (GAMMA, 1.0), KS, members, [0, 1])
     trained = found.trained
     assert list(trained.variant.values) == ["no_orthogonality", "gamma_0.1", "gamma_1", "no_rate", "no_nesting"]
     assert trained.beta.sel(variant="no_rate") == 0 and trained.nesting.sel(variant="no_nesting") == 0
     # Without nesting the model is the one trained with every prefix of full length.
     static = TrainConfig(**{**STATIC.__dict__, "prefixes": (8,)})
-    judge = TrainAndJudge(static, KS, ("A5",), lr=3e-3)
+    judge = TrainAndJudge(static, KS, ("A5",))
     alone = jax.jit(judge)(jax.random.key(0), {"beta": jnp.float32(1e-3), "gamma": jnp.float32(GAMMA)}, members[0])
     ours = trained.test_mean_m.sel(variant="no_nesting", seed=0)
     np.testing.assert_allclose(ours, alone["test_mean_m"][0], rtol=0.02)

@@ -12,7 +12,7 @@ from ovibjax.encoder import model
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.orthogonality import orthogonality_penalty
 from ovibjax.encoder.train import TrainConfig, fit
-from tests.encoder.cases import UAV, make_data
+from tests.encoder.cases import UAV, assert_trees_close, make_data, member_of, stack
 
 COMPLETING = dataclasses.replace(UAV, kind="completing", rank=20, last_hidden=20)
 
@@ -78,6 +78,34 @@ def test_training_begins_there_and_clips():
     start = linear_start(init(jax.random.split(jax.random.key(0), 3)[0], COMPLETING), make_data().x, COMPLETING)
     moved = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), params, start)
     assert 0.0 < max(jax.tree.leaves(moved)) < 0.02
+
+
+def test_linear_paths_learn_at_their_share_of_the_rate():
+    # The first step of Adam moves whatever has a gradient by the learning rate.
+    static = TrainConfig(arch=COMPLETING, prefixes=(2, 8), steps=1, batch=64, warmup=1, linear_lr=0.25)
+    hypers, data = make_hypers(lr=1e-3, weight_decay=0.0), make_data()
+    params, _ = jax.jit(fit, static_argnums=3)(jax.random.key(0), hypers, data, static)
+    start = linear_start(init(jax.random.split(jax.random.key(0), 3)[0], COMPLETING), data.x, COMPLETING)
+    moved = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), params, start)["params"]
+    slow = {name for name, layer in moved.items() if name.startswith(("direct", "principal"))} | {"mean"}
+    assert len(slow) == 11
+    for name, layer in moved.items():
+        share = 0.25 if name in slow else 1.0
+        assert max(jax.tree.leaves(layer)) == pytest.approx(1e-3 * share, rel=0.02), name
+
+
+def test_a_grid_of_the_default_network_equals_a_loop():
+    static = TrainConfig(arch=COMPLETING, prefixes=(2, 5, 8), steps=40, batch=32)
+    grid = [make_hypers(beta=beta, gamma=gamma) for beta, gamma in ((1e-3, 0.1), (1e-1, 0.1), (1e-3, 10.0))]
+    train = jax.jit(jax.vmap(fit, in_axes=(None, 0, None, None)), static_argnums=3)
+    together = train(jax.random.key(5), stack(*grid), make_data(), static)
+    alone = jax.jit(fit, static_argnums=3)
+    for i, hypers in enumerate(grid):
+        params, metrics = alone(jax.random.key(5), hypers, make_data(), static)
+        assert_trees_close(member_of(together[0], i), params, rtol=1e-3, atol=1e-4)
+        np.testing.assert_allclose(member_of(together[1], i)["loss"], metrics["loss"], rtol=1e-4)
+    last = [float(member_of(together[1], i)["loss"][-1]) for i in range(3)]
+    assert len(set(last)) == 3 and metrics["loss"][-1] < metrics["loss"][0]
 
 
 def test_a_dense_network_is_left_as_it_is():

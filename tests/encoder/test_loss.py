@@ -219,6 +219,7 @@ CUT = [
     (UAV, None, 3),
     (UAV, ("F", "FS"), 11),
     (UAV, ("F",), 11),
+    (UGV, None, 9),
     (UGV, None, 10),
 ]
 

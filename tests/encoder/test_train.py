@@ -210,5 +210,7 @@ def test_the_fixed_rate_model_has_one_length_and_the_ard_prior():
     scalable = TrainConfig(steps=7, precision="bfloat16")
     fixed = fixed_rate(scalable, 32)
     assert fixed.arch.latent == 32 and fixed.prefixes == (32,) and fixed.prior == "ard"
-    back = dataclasses.replace(fixed, arch=scalable.arch, prefixes=scalable.prefixes, prior=scalable.prior)
+    assert fixed.linear_lr == 1.0
+    back = {name: getattr(scalable, name) for name in ("arch", "prefixes", "prior", "linear_lr")}
+    back = dataclasses.replace(fixed, **back)
     assert back == scalable

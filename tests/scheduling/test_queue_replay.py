@@ -21,8 +21,8 @@ some_traces = st.builds(random_trace, st.integers(0, 10**6), st.just(N), st.samp
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_250_traces_equal_the_event_loop(policy):
-    traces = [random_trace(seed, N, KINDS[seed % len(KINDS)]) for seed in range(250)]
+def test_500_traces_equal_the_event_loop(policy):
+    traces = [random_trace(seed, N, KINDS[seed % len(KINDS)]) for seed in range(500)]
     found = np.asarray(run_grid(stack(traces), policy, default_params()))[:, 0]
     expected = np.stack([expected_waits(trace, policy) for trace in traces])
     np.testing.assert_array_equal(found, expected)
