@@ -9,16 +9,18 @@ from ovibjax.cards.codec_frontier import RIVAL_K, Frontier
 from ovibjax.cards.codec_study import code_and_judge
 from ovibjax.cards.compression_claims import compression_claims
 from ovibjax.cards.compression_drawing import draw
-from ovibjax.cards.compression_methods import run_methods, train_config
+from ovibjax.cards.compression_methods import TRAINED, run_methods, train_config
 from ovibjax.cards.compression_results import Results, collect, table_rows
 from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, measure_encoder, overhead_rows
 from ovibjax.cards.job import CardInterrupted, Job
 from ovibjax.encoder.training_data import member_data
+from ovibjax.report import figures as fig
 from ovibjax.report.claims import write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.runtime.precision_choice import faster_precision
 
 TITLE = "Scalable O-VIB compression"
+METHODS = {"smoke": TRAINED, "quick": ("ovib", "pca_completed", "fixed_32"), "full": TRAINED}
 SEEDS = {"smoke": 2, "quick": 3, "full": 5}
 STEPS = {"smoke": 60, "quick": None, "full": None}
 """Training steps of every method; None: by the number of frames (`encoder.recipe`)."""
@@ -32,7 +34,7 @@ def run(job: Job) -> None:
     with job.stage("features"):
         prepared = {seed: member_data(job.features, seed, job.rank) for seed in seeds}
     with job.stage("train"):
-        outcomes, interrupted = run_methods(prepared, steps, precision)
+        outcomes, interrupted = run_methods(prepared, METHODS[job.preset], steps, precision)
     frontier, codec_note = None, " Image codecs are left out: the run was interrupted."
     if not interrupted:
         try:
@@ -45,7 +47,7 @@ def run(job: Job) -> None:
     basis_bytes = 4 * (basis.axes.size + basis.mean.size)
     with job.stage("time"):
         encoder = measure_encoder(results, member)
-    write_rows(job.out / "overhead.csv", overhead_rows(results, encoder, basis_bytes))
+    write_rows(job.out / "overhead.csv", overhead_rows(results, member, encoder, basis_bytes))
     _write_codecs(job, frontier)
     claims = [*compression_claims(results, job.embedded), *(codec_claims(frontier, LINK_KB_PER_S) if frontier else [])]
     write_claims(job.out / "claims.json", claims)
@@ -83,8 +85,8 @@ def caption(results: Results, energy_kept: float, view_dim: int) -> str:
         "payload against error. (c) Errors per test frame of all seeds; box: quartiles, whiskers: 5th and 95th "
         "percentile, diamond: mean, red tick: 90th percentile. (d) Encoding after feature extraction (Jetson "
         f"Orin NX profile) plus transmission at {LINK_KB_PER_S} KB/s; image codecs: transmission alone, of the "
-        f"bytes at which they reach O-VIB's error at k = {RIVAL_K}; black ticks: paper. Bands are 95 % intervals over "
-        f"{len(results.outcomes)} seeds (split, initialisation, minibatches). The database holds uncompressed "
+        f"bytes at which they reach O-VIB's error at k = {RIVAL_K}; black ticks: paper. "
+        f"{fig.spread(len(results.outcomes))} (split, initialisation, minibatches). The database holds uncompressed "
         f"reference descriptors (frozen localizer). {view_dim} principal coordinates per view keep "
         f"{100 * energy_kept:.0f} % of the feature variance."
     )

@@ -16,6 +16,7 @@ from ovibjax.cards.fixed_rate_study import (
 from ovibjax.cards.job import Job
 from ovibjax.encoder.loss import BETA, GAMMA
 from ovibjax.encoder.training_data import member_data
+from ovibjax.report import figures as fig
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.runtime.precision_choice import faster_precision
@@ -156,10 +157,10 @@ def _orthogonality(preset: Preset, found: FixedRateStudy) -> Claim:
 def caption(preset: Preset, steps: int, found: FixedRateStudy) -> str:
     """What the reader of the figure needs to know."""
     return (
-        f"Fixed rate K = {K}, log-uniform prior, {steps} steps, {preset.seeds} trials per point; bands are "
-        "95 % intervals over trials. (a) Weight of the ARD term at γ = 0.1: coordinates not pruned (log α at most 3) "
-        "and error. (b) Error over β at γ = 0.1 and (c) over γ at β = 0.001; every trial a dot, star: lowest "
-        f"validation error of the panel; dashed: attention fusion of all views, no bottleneck ({preset.fusion_steps} "
+        f"Fixed rate K = {K}, log-uniform prior, {steps} steps, {preset.seeds} trials per point. "
+        f"{fig.spread(preset.seeds, 'trials')}. (a) Weight of the ARD term at γ = 0.1: coordinates not pruned "
+        "(log α at most 3) and error. (b) Error over β at γ = 0.1 and (c) over γ at β = 0.001; every trial a "
+        f"dot, star: lowest validation error of the panel; dashed: attention fusion of all views, no bottleneck ({preset.fusion_steps} "
         f"steps, {preset.fusion_seeds} trials). (d) Encoding one frame after feature extraction: the paper's Jetson "
         "profile read off its table (Jetson), and this machine (here), measured."
     )

@@ -11,6 +11,7 @@ from ovibjax.cards.control_study import PAPER_PROFILE_KB_PER_S, drives_of
 from ovibjax.cards.job import Job
 from ovibjax.cards.system_drawing import METRICS, draw_edge, draw_error, draw_front, draw_shares
 from ovibjax.control.controller import PAPER_BUDGET_KB
+from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
@@ -141,8 +142,8 @@ def caption(found: xarray.Dataset, preset: Preset, points: int) -> str:
         f"a fleet of {size.fleet} that repeats its requests, at {size.kb_per_s:g} KB/s (the paper's high congestion; "
         f"its request control is at {PAPER_PROFILE_KB_PER_S:g} KB/s). (a) Route error and (b) top-decile edge p95 "
         "against k. (c) Every point, the lowest edge p95 on top; outlined: no other is better in KB, route error and "
-        "edge p95 together. (d) Variance shares by axis, two-way interactions and the rest. Bands are 95 % intervals "
-        f"over {found.sizes['seed']} seeds. V moves Base-DPP only."
+        "edge p95 together. (d) Variance shares by axis, two-way interactions and the rest. "
+        f"{fig.spread(found.sizes['seed'])}. V moves Base-DPP only."
     )
 
 

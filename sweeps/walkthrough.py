@@ -80,7 +80,7 @@ def run(job: Job) -> None:
         draw(job.out / "figure.png", drives, error_m, tail_ms, best)
     caption = (
         "The script `sweeps/walkthrough.py`, executed: (a) drives by context, (b) and (c) what a grid of "
-        f"{grid.top_cost.size} points says. Bands are 95 % intervals over {len(seeds)} seeds."
+        f"{grid.top_cost.size} points says. {fig.spread(len(seeds))}."
     )
     job.record(TITLE, caption, seeds, started, points=int(grid.top_cost.size), steps=size.steps)
 

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.cards.ablation_study import Ablation, named
+from ovibjax.cards.ablation_study import RECIPE_VARIANTS, Ablation, named
 from ovibjax.encoder.loss import GAMMA
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import interval
@@ -17,6 +18,11 @@ NAMES = {
     "no_rate": "no rate (β = 0)",
     "no_orthogonality": "no orthogonality (γ = 0)",
     "no_nesting": "no nesting",
+    "no_linear_start": "no linear start",
+    "no_completion": "no completion",
+    "gelu": "GELU for the sine",
+    "paper_prefixes": "prefixes drawn evenly",
+    "pca_completed": "PCA, completing decoder",
     "pca": "PCA",
 }
 COLOURS = {
@@ -25,7 +31,12 @@ COLOURS = {
     "no_orthogonality": fig.GREEN,
     "no_nesting": fig.ORANGE,
     "pca": fig.RED,
+    "pca_completed": fig.RED,
 }
+
+
+SHORT_K = 16
+"""A short prefix, marked beside the bars: there our recipe tells."""
 
 
 def draw(path: Path, found: Ablation, gammas: Sequence[float], k: int, paper_m: Mapping[str, float]) -> None:
@@ -38,7 +49,7 @@ def draw(path: Path, found: Ablation, gammas: Sequence[float], k: int, paper_m: 
         k: prefix at which variants are compared.
         paper_m: the paper's mean errors at that prefix, metres, by variant.
     """
-    with sheet(path, 2, 2, height_in=2.3) as (weight, order, components, zoom):
+    with sheet(path, 2, 2, height_in=2.6) as (weight, order, components, zoom):
         _draw_gamma(weight, found, (0.0, *gammas), k)
         _draw_orders(order, found)
         _draw_components(components, found, k, paper_m)
@@ -76,15 +87,23 @@ def _draw_orders(ax: Axes, found: Ablation) -> None:
 
 
 def _draw_components(ax: Axes, found: Ablation, k: int, paper_m: Mapping[str, float]) -> None:
-    spans = {name: interval(found.at(name, k)) for name in NAMES}
+    trained = [str(name) for name in found.recipe.variant.values]
+    names = [name for name in NAMES if name not in RECIPE_VARIANTS or name in trained]
+    spans = {name: interval(found.at(name, k)) for name in names}
     rows = [
-        Bar(NAMES[name], span, COLOURS[name], paper_m.get(name), f"{span.mean:.1f} m") for name, span in spans.items()
+        Bar(NAMES[name], span, COLOURS.get(name, fig.PURPLE), paper_m.get(name), f"{span.mean:.1f} m")
+        for name, span in spans.items()
     ]
-    bars(ax, rows)
+    short = [interval(found.at(name, SHORT_K)) for name in names]
+    half = [[span.cap for span in short]]
+    at = np.arange(len(names)) + 0.34
+    look: dict[str, Any] = {"color": "black", "mfc": "white", "ms": 3, "mew": 0.8, "elinewidth": 0.7, "zorder": 4}
+    ax.errorbar([span.mean for span in short], at, xerr=half * 2, fmt="o", label=f"k = {SHORT_K}", **look)
+    bars(ax, rows, height=0.5)
     ax.set(xlabel=f"mean error at k = {k} (m)", xscale="log", xlim=(1, 500))
     ax.legend(loc="lower right")
     fig.plain_log_ticks(ax.xaxis, subs=(1.0, 3.0))
-    fig.title(ax, "c", "components")
+    fig.title(ax, "c", "components of the paper and of our recipe")
 
 
 def _draw_differences(ax: Axes, found: Ablation, gammas: Sequence[float], k: int, paper_m: Mapping[str, float]) -> None:

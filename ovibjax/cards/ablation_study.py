@@ -1,6 +1,7 @@
 """The encoder ablation as data: variants and seeds trained in one sweep, coordinate orderings judged in another."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -14,11 +15,15 @@ from ovibjax.edge.member import DIMS, ORDERINGS, UNITS, JudgeOrdering, TrainAndJ
 from ovibjax.encoder.loss import BETA, GAMMA
 from ovibjax.encoder.orthogonality import SingularValues, singular_values
 from ovibjax.encoder.pca import fit_pca
+from ovibjax.encoder.recipe import PAPER_PREFIXES
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.encoder.training_data import MemberData
 from ovibjax.sweep.select import tree_of
 from ovibjax.sweep.work import Along
 from ovibjax.views import full_mode, mode_mask
+
+RECIPE_VARIANTS = ("no_linear_start", "no_completion", "gelu", "paper_prefixes", "pca_completed")
+"""What our recipe adds to the paper's, each taken away alone; and principal coordinates with the completing decoder."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +31,15 @@ class Ablation:
     """What the ablation found.
 
     Attributes:
-        trained: errors of every variant [variant, seed, prefix].
+        trained: errors of every variant of the paper's [variant, seed, prefix].
+        recipe: errors of those of `RECIPE_VARIANTS` that were trained, [variant, seed, prefix].
         orders: mean test errors of the full model's coordinates in other orders [ordering, seed, prefix].
         pca: [seeds, prefixes] mean test errors of the linear code under the full model's localizer.
         spectra: singular values of W per orthogonality weight, leading axis the seeds.
     """
 
     trained: xarray.Dataset
+    recipe: xarray.Dataset
     orders: xarray.DataArray
     pca: np.ndarray
     spectra: dict[float, SingularValues]
@@ -46,6 +53,8 @@ class Ablation:
         """[seeds] a metric of one variant at one prefix; `full` is the variant with the paper's weights."""
         if variant == "pca":
             return self.pca[:, self.ks.index(k)]
+        if variant in RECIPE_VARIANTS:
+            return self.recipe[metric].sel(variant=variant, prefix=k).values
         return self.trained[metric].sel(variant=named(GAMMA) if variant == "full" else variant, prefix=k).values
 
     def selected_gamma(self, k: int) -> float:
@@ -64,20 +73,35 @@ def named(gamma: float) -> str:
     return f"gamma_{gamma:g}" if gamma > 0 else "no_orthogonality"
 
 
+def without(variant: str, static: TrainConfig) -> TrainConfig:
+    """The recipe changed as one of `RECIPE_VARIANTS` says."""
+    if variant == "paper_prefixes":
+        return replace(static, prefixes=tuple(min(k, static.arch.latent) for k in PAPER_PREFIXES))
+    change: dict[str, dict[str, Any]] = {
+        "no_linear_start": {"kind": "dense"},
+        "no_completion": {"kind": "linear"},
+        "gelu": {"wave": "gelu"},
+        "pca_completed": {"encoder": "principal"},
+    }
+    return replace(static, arch=replace(static.arch, **change[variant]))
+
+
 def ablate(
     sweep: Sweep,
     static: TrainConfig,
     gammas: tuple[float, ...],
+    recipe: Sequence[str],
     ks: tuple[int, ...],
     members: list[MemberData],
     seeds: list[int],
 ) -> Ablation:
-    """Train every variant on every seed in one sweep, then judge orderings and PCA.
+    """Train every variant on every seed, those of the paper in one sweep, then judge orderings and PCA.
 
     Args:
         sweep: runs a sweep.
         static: architecture and steps.
         gammas: positive orthogonality weights; the paper's must be among them.
+        recipe: which of `RECIPE_VARIANTS` to train, at least one.
         ks: prefixes judged.
         members: data per seed.
         seeds: seeds, common to all variants.
@@ -90,17 +114,27 @@ def ablate(
     beta, gamma, nesting = zip(*variants.values(), strict=True)
     mode = full_mode(static.arch.n_views)
     coords = {"prefix": list(ks)}
+    judged: dict[str, Any] = {"dims": DIMS, "coords": coords | {"mode": [mode]}, "units": UNITS}
     dataset = sweep(
         "training and judging variants",
         TrainAndJudge(static, ks, (mode,), keep_params=True),
         {"variant": list(variants), "beta": beta, "gamma": gamma, "nesting": nesting, "seed": seeds},
         Along("seed", members),
         zipped=[["variant", "beta", "gamma", "nesting"]],
-        dims=DIMS,
-        coords=coords | {"mode": [mode]},
-        units=UNITS,
+        **judged,
     )
     trained = dataset.isel(mode=0).swap_dims({dataset.variant.dims[0]: "variant"})
+    others = [
+        sweep(
+            f"training {variant.replace('_', ' ')}",
+            TrainAndJudge(without(variant, static), ks, (mode,)),
+            {"seed": seeds},
+            Along("seed", members),
+            **judged,
+        )
+        for variant in recipe
+    ]
+    changed = xarray.concat(others, xarray.DataArray(list(recipe), dims="variant", name="variant")).isel(mode=0)
     chosen = {"variant": named(GAMMA)}
     params = [{"params": tree_of(trained, "params", chosen | {"seed": seed})} for seed in seeds]
     full = [Trained(*pair) for pair in zip(members, params, strict=True)]
@@ -113,7 +147,7 @@ def ablate(
         coords=coords,
         stage="judge",
     )
-    return Ablation(trained, orders.test_mean_m, judge_pca(static, ks, full), spectra_by_gamma(trained))
+    return Ablation(trained, changed, orders.test_mean_m, judge_pca(static, ks, full), spectra_by_gamma(trained))
 
 
 def judge_pca(static: TrainConfig, ks: tuple[int, ...], full: list[Trained]) -> np.ndarray:
@@ -145,17 +179,18 @@ def spectra_by_gamma(trained: xarray.Dataset) -> dict[float, SingularValues]:
 def table_rows(ablation: Ablation) -> list[dict[str, Any]]:
     """One tidy row per member and prefix, then per ordering, seed and prefix."""
     rows: list[dict[str, Any]] = []
+    metrics, weights = ("val_mean_m", "test_mean_m", "test_p90_m", "eta"), ("beta", "gamma", "nesting")
+    paper = dict(zip(weights, (BETA, GAMMA, 1.0), strict=True))
     trained = ablation.trained
-    metrics = ("val_mean_m", "test_mean_m", "test_p90_m", "eta")
-    for variant in trained.variant.values:
+    for dataset, variant in [(d, v) for d in (trained, ablation.recipe) for v in d.variant.values]:
         for seed in trained.seed.values:
-            part = trained.sel(variant=variant, seed=seed)
+            part = dataset.sel(variant=variant, seed=seed)
             known = {"variant": str(variant), "ordering": "learned", "seed": int(seed)}
-            known |= {name: float(part[name]) for name in ("beta", "gamma", "nesting")}
+            known |= {name: float(part[name]) if name in part.coords else paper[name] for name in weights}
             for i, k in enumerate(ablation.ks):
                 errors = {name: float(part[name][i]) for name in metrics}
                 rows.append(known | {"k": k, "diverged": bool(part.diverged)} | errors)
-    blank = dict.fromkeys(("beta", "gamma", "nesting", "diverged", *metrics), "")
+    blank = dict.fromkeys((*weights, "diverged", *metrics), "")
     for i, seed in enumerate(trained.seed.values):
         for j, k in enumerate(ablation.ks):
             point = {"seed": int(seed), "k": k}

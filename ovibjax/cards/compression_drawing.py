@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.cards.codec_frontier import PAPER_LATENCY_S, Frontier
-from ovibjax.cards.compression_methods import FIXED, SPARSE_PREFIXES, prefixes_of
+from ovibjax.cards.compression_methods import SPARSE_PREFIXES, prefixes_of
 from ovibjax.cards.compression_results import Results
 from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, PAPER_LATENCY_MS
 from ovibjax.features.images.codecs import CODECS
@@ -17,8 +17,22 @@ from ovibjax.link.payload import representation_bytes
 from ovibjax.report import figures as fig
 from ovibjax.report.panels import category_axis, sheet, star
 
-NAMES = {"ovib": "O-VIB", "vib": "VIB", "fixed": "fixed-rate", "pca": "PCA", "raw": "raw features"}
-COLOURS = {"ovib": fig.BLUE, "vib": fig.SKY, "fixed": fig.ORANGE, "pca": fig.RED, "raw": fig.GREY}
+NAMES = {
+    "ovib": "O-VIB",
+    "vib": "VIB",
+    "fixed": "fixed-rate",
+    "pca": "PCA",
+    "pca_completed": "PCA, our decoder",
+    "raw": "raw features",
+}
+COLOURS = {
+    "ovib": fig.BLUE,
+    "vib": fig.SKY,
+    "fixed": fig.ORANGE,
+    "pca": fig.RED,
+    "pca_completed": "#8B2500",
+    "raw": fig.GREY,
+}
 CODEC_COLOURS = {"jpeg": fig.GREEN, "webp": fig.PURPLE, "h264": "#8C6D31", "h265": "#222222"}
 CODEC_MARKERS = {"jpeg": "o", "webp": "v", "h264": "^", "h265": "P"}
 
@@ -43,7 +57,11 @@ def _draw_prefixes(ax: Axes, results: Results) -> None:
     curves = results.mean_m("ovib")
     fig.band(ax, k, curves, COLOURS["ovib"], "O-VIB, one model")
     sparse = np.array(SPARSE_PREFIXES)
-    fig.band(ax, sparse, results.mean_m("vib"), COLOURS["vib"], "VIB (no orthogonality)", style="--")
+    if "vib" in results.judged:
+        fig.band(ax, sparse, results.mean_m("vib"), COLOURS["vib"], "VIB (no orthogonality)", style="--")
+    fig.band(
+        ax, sparse, results.mean_m("pca_completed"), COLOURS["pca_completed"], "PCA, our decoder trained on it", ":"
+    )
     raw = float(results.mean_m("raw").mean())
     ax.axhline(raw, color=fig.GREY, lw=1, ls=":")
     label = f"raw features ({results.payload_bytes('raw', 0) / 1024:.0f} KB): {raw:.1f} m"
@@ -66,14 +84,17 @@ def _draw_payloads(ax: Axes, results: Results, frontier: Frontier | None) -> Non
     def kib(method: str, ks: np.ndarray) -> np.ndarray:
         return np.array([results.payload_bytes(method, int(k)) for k in ks]) / 1024
 
-    for method, marker in (("pca", "s"), ("vib", ""), ("ovib", "")):
+    looks = {"pca": ("-", "s"), "pca_completed": (":", ""), "vib": ("--", ""), "ovib": ("-", "")}
+    for method, (style, marker) in looks.items():
+        if method not in results.judged:
+            continue
         ks = prefixes_of(method)
         keep = ks >= 4
         x, curves = kib(method, ks[keep]), results.mean_m(method)[:, keep]
-        fig.band(ax, x, curves, COLOURS[method], NAMES[method], "--" if method == "vib" else "-", marker)
-    bank = np.concatenate([results.mean_m(f"fixed_{k}") for k in FIXED], axis=1)
+        fig.band(ax, x, curves, COLOURS[method], NAMES[method], style, marker)
+    bank = np.concatenate([results.mean_m(f"fixed_{k}") for k in results.fixed], axis=1)
     look: dict[str, Any] = {"color": COLOURS["fixed"], "label": "fixed-rate O-VIB", "capsize": 2, "lw": 1}
-    ax.errorbar(kib("fixed", np.array(FIXED)), *fig.mean_and_half(bank), fmt="D", ms=4, **look)
+    ax.errorbar(kib("fixed", np.array(results.fixed)), *fig.mean_and_half(bank), fmt="D", ms=4, **look)
     raw_kib = results.payload_bytes("raw", 0) / 1024
     ax.plot(raw_kib, results.mean_m("raw").mean(), "X", ms=6, color=COLOURS["raw"], label="raw features")
     if frontier:
@@ -107,9 +128,12 @@ def _draw_frames(ax: Axes, results: Results) -> None:
     groups: list[tuple[str, str, np.ndarray]] = []
     for label, method, k in (
         *((f"O-VIB k={k}", "ovib", k) for k in sorted({16, results.chosen}, reverse=True)),
-        *((f"fixed-rate K={k}", f"fixed_{k}", k) for k in FIXED),
-        *(("VIB k=16", "vib", 16), ("PCA k=16", "pca", 16), ("PCA k=35", "pca", 35), ("raw", "raw", None)),
+        *((f"fixed-rate K={k}", f"fixed_{k}", k) for k in results.fixed),
+        *(("VIB k=16", "vib", 16), ("PCA, our decoder k=16", "pca_completed", 16)),
+        *(("PCA k=16", "pca", 16), ("PCA k=35", "pca", 35), ("raw", "raw", None)),
     ):
+        if method not in results.judged:
+            continue
         index = 0 if k is None else int(np.flatnonzero(prefixes_of(method) == k)[0])
         errors = np.concatenate([judged.test_error_m[index] for judged in results.judged[method]])
         groups.append((label, COLOURS[method.split("_")[0]], errors))
@@ -142,7 +166,7 @@ def latencies(results: Results, frontier: Frontier | None) -> list[Latency]:
     rows = []
     for label, k in (
         *((f"O-VIB k={k}", k) for k in sorted({16, 35, results.chosen})),
-        *((f"fixed K={k}", k) for k in FIXED),
+        *((f"fixed K={k}", k) for k in results.fixed),
     ):
         sent_ms = 1e3 * float(transmit_s(representation_bytes(k), rate_bps))
         rows.append(Latency(label, float(compute_ms_at(JETSON, k)), sent_ms, PAPER_LATENCY_MS.get(k)))

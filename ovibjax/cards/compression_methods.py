@@ -1,11 +1,13 @@
 """The compression methods that are compared under one frozen localizer: how each is trained and judged.
 
 `ovib` is the scalable model; `vib` the same without the orthogonality penalty; `fixed_<K>` a fixed-rate O-VIB of its
-own latent dimension K with the ARD prior; `pca` the linear code at the same number of floats; `raw` no compression.
-`pca` and `raw` need no training of their own and are judged with `ovib`'s localizer.
+own latent dimension K with the ARD prior; `pca_completed` the linear code with `ovib`'s decoder and localizer, trained
+on it; `pca` the linear code alone; `raw` no compression. The last two need no training of their own and are judged
+with `ovib`'s localizer.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -30,8 +32,8 @@ LATENT = 128
 FIXED = (32, 128)
 """Latent dimensions of the fixed-rate bank."""
 
-TRAINED = ("ovib", "vib", *(f"fixed_{k}" for k in FIXED))
-"""Methods that are trained."""
+TRAINED = ("ovib", "vib", "pca_completed", *(f"fixed_{k}" for k in FIXED))
+"""Methods that can be trained; without `ovib` there is no figure."""
 
 SPARSE_PREFIXES = (4, 6, 8, 12, 16, 20, 24, 28, 32, 35, 48, 64, 96, 128)
 """Prefixes at which the rivals of `ovib` are judged; `ovib` is judged at every one."""
@@ -75,6 +77,8 @@ def architecture_of(data: MemberData) -> Architecture:
 def train_config(method: str, data: MemberData, steps: int | None, precision: str) -> TrainConfig:
     """Static choices of a trained method; all are trained alike."""
     static = TrainConfig(arch=architecture_of(data), steps=steps, precision=precision)
+    if method == "pca_completed":
+        return replace(static, arch=replace(static.arch, encoder="principal"))
     return fixed_rate(static, int(method.removeprefix("fixed_"))) if method.startswith("fixed_") else static
 
 
@@ -118,12 +122,13 @@ def run_method(method: str, seed: int, data: MemberData, steps: int | None, prec
 
 
 def run_methods(
-    prepared: Mapping[int, tuple[MemberData, ViewBasis]], steps: int | None, precision: str
+    prepared: Mapping[int, tuple[MemberData, ViewBasis]], methods: Sequence[str], steps: int | None, precision: str
 ) -> tuple[dict[int, dict[str, Outcome]], bool]:
-    """Train and judge every method on every seed, with a progress bar; Ctrl-C keeps the seeds that are finished.
+    """Train and judge methods on every seed, with a progress bar; Ctrl-C keeps the seeds that are finished.
 
     Args:
         prepared: data and basis per seed.
+        methods: which of `TRAINED`.
         steps: training steps; by the number of frames if None (`encoder.recipe`).
         precision: operands of the networks' products.
 
@@ -133,7 +138,7 @@ def run_methods(
     Raises:
         KeyboardInterrupt: Ctrl-C came before any seed was finished.
     """
-    tasks = [(seed, method) for seed in prepared for method in TRAINED]
+    tasks = [(seed, method) for seed in prepared for method in methods]
     finished: dict[int, dict[str, Outcome]] = {seed: {} for seed in prepared}
 
     def work(task: tuple[int, str]) -> tuple[int, str, Outcome]:
@@ -149,7 +154,7 @@ def run_methods(
                 update(done)
     except KeyboardInterrupt:
         interrupted = True
-    finished = {seed: outcomes for seed, outcomes in finished.items() if len(outcomes) == len(TRAINED)}
+    finished = {seed: outcomes for seed, outcomes in finished.items() if len(outcomes) == len(methods)}
     if not finished:
         raise KeyboardInterrupt
     return finished, interrupted

@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.cards.compression_methods import Outcome, prefixes_of
+from ovibjax.cards.compression_methods import FIXED, Outcome, prefixes_of
 from ovibjax.edge.judging import Judged, one_standard_error_choice
 from ovibjax.link.payload import representation_bytes
 
@@ -30,6 +30,11 @@ class Results:
     outcomes: dict[int, dict[str, Outcome]]
     raw_floats: int
     chosen: int
+
+    @property
+    def fixed(self) -> list[int]:
+        """Latent dimensions of the fixed-rate models that were trained."""
+        return [k for k in FIXED if f"fixed_{k}" in self.judged]
 
     def mean_m(self, method: str) -> np.ndarray:
         """[seeds, prefixes] mean test errors."""

@@ -5,9 +5,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from ovibjax.cards.compression_methods import FIXED, LATENT, architecture_of
+from ovibjax.cards.compression_methods import FIXED, LATENT, architecture_of, train_config
 from ovibjax.cards.compression_results import Results
-from ovibjax.encoder.model import encode, parameter_bytes
+from ovibjax.encoder.model import encode, init, parameter_bytes
 from ovibjax.encoder.training_data import MemberData
 from ovibjax.link.latency import JETSON, LatencyProfile, kbytes_per_s, measure_host, semantic_latency_ms
 
@@ -27,19 +27,22 @@ def measure_encoder(results: Results, data: MemberData) -> LatencyProfile:
     return measure_host(lambda k: np.asarray(jitted(params, x))[:, :k], (16, 32, 35, 128))
 
 
-def overhead_rows(results: Results, host: LatencyProfile, basis_bytes: int) -> list[dict[str, Any]]:
+def overhead_rows(results: Results, data: MemberData, host: LatencyProfile, basis_bytes: int) -> list[dict[str, Any]]:
     """The paper's table "Deployment overhead", with a column for this machine.
 
     Args:
         results: outcomes of all methods.
+        data: data of any seed.
         host: encoding times of this machine.
         basis_bytes: size of the per-view basis; storage adds encoder, decoder and localizer head in float32.
 
     Returns:
         One row per deployment.
     """
-    networks = next(iter(results.outcomes.values()))
-    size_mb = {m: (parameter_bytes(o.params) + basis_bytes) / 1e6 for m, o in networks.items()}
+
+    def size_mb(method: str) -> float:
+        arch = train_config(method, data, None, "float32").arch
+        return (parameter_bytes(jax.eval_shape(lambda key: init(key, arch), jax.random.key(0))) + basis_bytes) / 1e6
 
     def latency(profile: LatencyProfile, k: int) -> float:
         return float(semantic_latency_ms(profile, k, kbytes_per_s(LINK_KB_PER_S)))
@@ -57,12 +60,12 @@ def overhead_rows(results: Results, host: LatencyProfile, basis_bytes: int) -> l
             "this_host_ms": span[1],
         }
 
-    small, large = (f"fixed_{k}" for k in FIXED)
-    scalable = size_mb["ovib"]
+    small, large = (size_mb(f"fixed_{k}") for k in FIXED)
+    scalable = size_mb("ovib")
     rows = [
-        row("Fixed-rate O-VIB-32", 1, size_mb[small], 1, (32,)),
-        row("Fixed-rate O-VIB-128", 1, size_mb[large], 1, (128,)),
-        row("Fixed-rate bank {32 128}", 2, size_mb[small] + size_mb[large], 2, FIXED),
+        row("Fixed-rate O-VIB-32", 1, small, 1, (32,)),
+        row("Fixed-rate O-VIB-128", 1, large, 1, (128,)),
+        row("Fixed-rate bank {32 128}", 2, small + large, 2, FIXED),
         row("Scalable O-VIB k=35", 1, scalable, LATENT, (35,)),
         row("Scalable O-VIB k=16", 1, scalable, LATENT, (16,)),
     ]

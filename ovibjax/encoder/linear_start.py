@@ -55,8 +55,16 @@ def linear_paths(params: Params) -> Any:
     Returns:
         A tree of the same structure: true for L, W and D.
     """
+    return _layers(params, ("direct_", "mean", "principal_"))
 
+
+def principal_encoder(params: Params) -> Any:
+    """Which parameters make principal coordinates of features: true for L and W; arguments as for `linear_paths`."""
+    return _layers(params, ("direct_", "mean"))
+
+
+def _layers(params: Params, prefixes: tuple[str, ...]) -> Any:
     def belongs(path: Any, _: jax.Array) -> bool:
-        return str(path[1].key).startswith(("direct_", "principal_", "mean"))
+        return str(path[1].key).startswith(prefixes)
 
     return jax.tree_util.tree_map_with_path(belongs, params)

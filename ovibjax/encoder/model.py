@@ -15,6 +15,10 @@ learn what that leaves open:
   linear, so that short prefixes cost long ones nothing. The first layer of f is a sine: a few numbers must become
   patterns of high spatial frequency.
 
+An encoder may also stay what it starts as (`Architecture.encoder` is "principal"): mu are the principal coordinates
+themselves, without noise, and decoder and localizer alone are trained. It tells what the decoder gives from what the
+encoder gives.
+
 The layers that touch the multi-view feature hold one kernel per view. Their sum is the dense layer over the
 concatenated views, and a view that is masked in some rows of a batch costs nothing there: rows are ordered so that
 every view is present in the first `rows[v]` of them, and only those are multiplied.
@@ -35,7 +39,11 @@ Params = dict[str, Any]
 """Parameters of the network: nested dictionaries of float32 arrays."""
 
 KINDS = ("dense", "linear", "completing")
+ENCODERS = ("learned", "principal")
 WAVES = {"sine": jnp.sin, "gelu": nn.gelu}
+
+_NO_NOISE = -40.0
+"""Log-variance of a code that is not noisy."""
 
 _CORRECTION = 0.1
 """Scale of what the networks add to the linear paths at the start."""
@@ -56,9 +64,10 @@ class Architecture:
         kind: "dense", "linear" or "completing", see above.
         rank: principal coordinates that the linear paths start from, at least K.
         wave: first activation of the decoder of "linear" and "completing": "sine" or "gelu".
+        encoder: "learned", or "principal" for principal coordinates that stay as they are.
 
     Raises:
-        ValueError: an unknown kind or wave, or a rank below K.
+        ValueError: an unknown kind, wave or encoder, a rank below K, or principal coordinates without linear paths.
     """
 
     n_views: int = 5
@@ -71,6 +80,7 @@ class Architecture:
     kind: str = "completing"
     rank: int = 128
     wave: str = "sine"
+    encoder: str = "learned"
 
     def __post_init__(self) -> None:
         """Refuse what the network cannot be."""
@@ -78,6 +88,10 @@ class Architecture:
             raise ValueError(f"kind is one of {', '.join(KINDS)}, not {self.kind!r}")
         if self.wave not in WAVES:
             raise ValueError(f"wave is one of {', '.join(WAVES)}, not {self.wave!r}")
+        if self.encoder not in ENCODERS:
+            raise ValueError(f"encoder is one of {', '.join(ENCODERS)}, not {self.encoder!r}")
+        if self.encoder == "principal" and not self.linear:
+            raise ValueError("a principal encoder is a linear path, which a dense network does not have")
         if self.linear and self.rank < self.latent:
             raise ValueError(f"rank {self.rank} is below the latent dimension {self.latent}")
 
@@ -111,17 +125,18 @@ class OVIB(nn.Module):
         # The inputs of a joint layer are those of all views together.
         joint_he = nn.initializers.variance_scaling(2.0 / arch.n_views, "fan_in", "truncated_normal")
         views = range(arch.n_views)
-        self.encoder_1 = [dense(arch.hidden, use_bias=False, kernel_init=joint_he) for _ in views]
-        self.encoder_1_bias = self.param("encoder_1_bias", nn.initializers.zeros, (arch.hidden,))
-        self.encoder_2 = dense(arch.last_hidden, kernel_init=added_he)
+        if arch.encoder == "learned":
+            self.encoder_1 = [dense(arch.hidden, use_bias=False, kernel_init=joint_he) for _ in views]
+            self.encoder_1_bias = self.param("encoder_1_bias", nn.initializers.zeros, (arch.hidden,))
+            self.encoder_2 = dense(arch.last_hidden, kernel_init=added_he)
+            small = nn.initializers.variance_scaling(0.01, "fan_in", "normal")
+            bias = nn.initializers.constant(arch.logvar_bias)
+            self.logvar = dense(arch.latent, kernel_init=small, bias_init=bias)
         if arch.linear:
             zeros: dict[str, Any] = {"use_bias": False, "kernel_init": nn.initializers.zeros}
             self.direct = [dense(arch.last_hidden, **zeros) for _ in views]
             self.principal = [dense(arch.view_dim, **zeros) for _ in views]
         self.mean = dense(arch.latent)
-        small = nn.initializers.variance_scaling(0.01, "fan_in", "normal")
-        bias = nn.initializers.constant(arch.logvar_bias)
-        self.logvar = dense(arch.latent, kernel_init=small, bias_init=bias)
         self.decoder_1 = dense(arch.last_hidden, kernel_init=he)
         self.decoder_2 = dense(arch.hidden, kernel_init=he)
         if arch.kind == "completing":
@@ -134,6 +149,10 @@ class OVIB(nn.Module):
 
     def encode(self, views: Sequence[jax.Array]) -> tuple[jax.Array, jax.Array]:
         """Posterior mean and log-variance, each [B, K], of masked views, each [rows_v, r]."""
+        if self.arch.encoder == "principal":
+            straight = _sum_rows([layer(x) for layer, x in zip(self.direct, views, strict=True)])
+            mu = jax.lax.stop_gradient(self.mean(straight))
+            return mu, jnp.full_like(mu, _NO_NOISE)
         hidden = _sum_rows([layer(x) for layer, x in zip(self.encoder_1, views, strict=True)])
         hidden = self.encoder_2(nn.gelu(hidden + self.encoder_1_bias[None]))
         if self.arch.linear:
@@ -269,7 +288,7 @@ def dense_layers(params: Params) -> dict[str, dict[str, jax.Array]]:
     views = range(sum(name.startswith("head_1_") and name != "head_1_bias" for name in tree))
     single = ("encoder_2", "mean", "logvar", "decoder_1", "decoder_2", "completion", "head_2")
     layers = {name: dict(tree[name]) for name in single if name in tree}
-    for name in ("encoder_1", "head_1"):
+    for name in (name for name in ("encoder_1", "head_1") if f"{name}_0" in tree):
         kernel = jnp.concatenate([tree[f"{name}_{view}"]["kernel"] for view in views])
         layers[name] = {"kernel": kernel, "bias": tree[f"{name}_bias"]}
     if "direct_0" in tree:

@@ -14,7 +14,7 @@ import numpy as np
 import optax
 
 from ovibjax.encoder.epochs import Epoch, State, make_epoch, make_optimizer, schedule_of
-from ovibjax.encoder.linear_start import linear_paths, linear_start
+from ovibjax.encoder.linear_start import linear_paths, linear_start, principal_encoder
 from ovibjax.encoder.loss import Batch, Hypers, composite_loss
 from ovibjax.encoder.model import Architecture, Params, init
 from ovibjax.encoder.recipe import training_prefixes
@@ -187,6 +187,9 @@ def epochs_of(
     optimizer = make_optimizer(hypers, static.warmup, epochs * per_epoch, static.clip)
     if static.arch.linear:
         optimizer = optax.chain(optimizer, optax.masked(optax.scale(static.linear_lr), linear_paths))
+    if static.arch.encoder == "principal":
+        # No gradient reaches it, but the decay of weights would.
+        optimizer = optax.chain(optimizer, optax.masked(optax.set_to_zero(), principal_encoder))
     rows = view_rows(static, batch)[1]
 
     def sample(count: jax.Array, index: jax.Array) -> Batch:

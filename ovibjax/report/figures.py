@@ -14,6 +14,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ovibjax.report.claims import interval
 
+FEWEST_SEEDS = 4
+"""Below this many an interval is so wide that it hides the curves: the seeds are drawn instead."""
+
 COLUMN_IN, PAGE_IN = 3.5, 7.16
 """Widths of one column and of the page in a two-column paper, inches."""
 
@@ -76,7 +79,7 @@ def mean_and_half(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def band(
     ax: Axes, x: np.ndarray, curves: np.ndarray, colour: str, label: str, style: str = "-", marker: str = ""
 ) -> None:
-    """Mean curve over seeds with its 95 % interval as a band.
+    """Mean curve over seeds with its 95 % interval as a band; with the seeds as thin lines where they are few.
 
     Args:
         ax: the panel.
@@ -88,9 +91,19 @@ def band(
         marker: marker, none by default.
     """
     mean, half = mean_and_half(curves)
-    # On a logarithmic axis an interval that reaches zero would swallow the panel.
-    ax.fill_between(x, np.maximum(mean - half, 0.3 * mean), mean + half, color=colour, alpha=0.18, lw=0)
+    if 1 < len(curves) < FEWEST_SEEDS:
+        ax.plot(x, curves.T, color=colour, alpha=0.35, lw=0.5)
+    else:
+        # On a logarithmic axis an interval that reaches zero would swallow the panel.
+        ax.fill_between(x, np.maximum(mean - half, 0.3 * mean), mean + half, color=colour, alpha=0.18, lw=0)
     ax.plot(x, mean, style, color=colour, label=label, marker=marker, ms=3)
+
+
+def spread(repetitions: int, what: str = "seeds") -> str:
+    """What a caption says of `band`: bands are intervals, or thin lines single seeds where they are few."""
+    if repetitions < FEWEST_SEEDS:
+        return f"Thin lines are the {repetitions} {what}, caps their 95 % intervals"
+    return f"Bands and caps are 95 % intervals over {repetitions} {what}"
 
 
 def error_boxes(ax: Axes, groups: Sequence[tuple[str, str, np.ndarray]]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.report.claims import Interval
-from ovibjax.report.figures import RED, YELLOW, mean_and_half, panels, save_figure, style, title
+from ovibjax.report.figures import FEWEST_SEEDS, RED, YELLOW, mean_and_half, panels, save_figure, style, title
 
 _CAPS = {"lw": 1, "capsize": 2}
 
@@ -154,7 +154,7 @@ def heat(ax: Axes, shade: np.ndarray, texts: Sequence[Sequence[str]], cmap: str,
 
 
 def distribution(ax: Axes, x: np.ndarray, shares: np.ndarray, colour: str, label: str, line: str = "-") -> None:
-    """A cumulative distribution with its 95 % interval as a band.
+    """A cumulative distribution with its 95 % interval as a band, or with few repetitions as thin lines.
 
     Args:
         ax: the panel.
@@ -165,7 +165,10 @@ def distribution(ax: Axes, x: np.ndarray, shares: np.ndarray, colour: str, label
         line: line style.
     """
     mean, half = mean_and_half(shares)
-    ax.fill_between(x, np.maximum(mean - half, 0), np.minimum(mean + half, 1), color=colour, alpha=0.15, lw=0)
+    if 1 < len(shares) < FEWEST_SEEDS:
+        ax.plot(x, shares.T, color=colour, alpha=0.35, lw=0.5)
+    else:
+        ax.fill_between(x, np.maximum(mean - half, 0), np.minimum(mean + half, 1), color=colour, alpha=0.15, lw=0)
     ax.plot(x, mean, line, color=colour, label=label)
 
 

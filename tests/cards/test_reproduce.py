@@ -38,7 +38,7 @@ def check_outputs(folder: Path) -> list[dict[str, str]]:
     assert list(rows[0]) == TABLE_COLUMNS
     for row in rows:
         assert np.isfinite([float(row[name]) for name in ("payload_bytes", "mean_m", "p90_m", "eta")]).all()
-    assert {row["method"] for row in rows} == {"ovib", "ovib_fixed", "vib", "pca", "raw"}
+    assert {row["method"] for row in rows} == {"ovib", "ovib_fixed", "vib", "pca", "pca_completed", "raw"}
     assert len({(row["method"], row["k"], row["seed"]) for row in rows}) == len(rows)
     for seed in {row["seed"] for row in rows}:
         ks = [int(row["k"]) for row in rows if row["method"] == "ovib" and row["seed"] == seed]

@@ -117,3 +117,22 @@ def test_a_dense_network_is_left_as_it_is():
 def test_impossible_networks_are_refused(wrong):
     with pytest.raises(ValueError, match=str(next(iter(wrong))) if "rank" not in wrong else "rank 7"):
         dataclasses.replace(UAV, **wrong)
+
+
+def test_principal_coordinates_stay_as_they_are():
+    arch = dataclasses.replace(COMPLETING, encoder="principal")
+    static = TrainConfig(arch=arch, prefixes=(2, 5, 8), steps=30, batch=32)
+    data, x = make_data(), make_data().x.reshape(64, -1)
+    params, metrics = jax.jit(fit, static_argnums=3)(jax.random.key(3), make_hypers(weight_decay=0.1), data, static)
+    mu, logvar = encode(params, x, arch)
+    np.testing.assert_allclose(mu, x @ principal_axes(x, 8), atol=1e-4)
+    assert float(jnp.exp(0.5 * logvar).max()) < 1e-8
+    assert metrics["loss"][-1] < metrics["loss"][0]
+    start = linear_start(init(jax.random.split(jax.random.key(3), 3)[0], arch), data.x, arch)["params"]
+    same = {name for name in start if jax.tree.all(jax.tree.map(jnp.array_equal, start[name], params["params"][name]))}
+    assert same == {"mean", *(f"direct_{view}" for view in range(5))}
+    assert set(model.dense_layers(params)) == set(model.dense_layers(untrained(COMPLETING))) - {
+        *("encoder_1", "encoder_2", "logvar"),
+    }
+    with pytest.raises(ValueError, match="linear path"):
+        dataclasses.replace(arch, kind="dense")
