@@ -156,11 +156,12 @@ def _orthogonality(preset: Preset, found: FixedRateStudy) -> Claim:
 
 def caption(preset: Preset, steps: int, found: FixedRateStudy) -> str:
     """What the reader of the figure needs to know."""
+    fusion = f"{preset.fusion_steps} steps, {preset.fusion_seeds} trials"
     return (
         f"Fixed rate K = {K}, log-uniform prior, {steps} steps, {preset.seeds} trials per point. "
         f"{fig.spread(preset.seeds, 'trials')}. (a) Weight of the ARD term at γ = 0.1: coordinates not pruned "
-        "(log α at most 3) and error. (b) Error over β at γ = 0.1 and (c) over γ at β = 0.001; every trial a "
-        f"dot, star: lowest validation error of the panel; dashed: attention fusion of all views, no bottleneck ({preset.fusion_steps} "
-        f"steps, {preset.fusion_seeds} trials). (d) Encoding one frame after feature extraction: the paper's Jetson "
-        "profile read off its table (Jetson), and this machine (here), measured."
+        "(log α at most 3) and error. (b) Error over β at γ = 0.1 and (c) over γ at β = 0.001; every trial a dot, "
+        f"star: lowest validation error of the panel; dashed: attention fusion of all views, no bottleneck ({fusion}). "
+        "(d) Encoding one frame after feature extraction: the paper's Jetson profile read off its table (Jetson), and "
+        "this machine (here), measured."
     )
