@@ -32,6 +32,7 @@ from typing import Any, cast
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from ovibjax.runtime.precision import dot_general
 
@@ -44,6 +45,9 @@ WAVES = {"sine": jnp.sin, "gelu": nn.gelu}
 
 _NO_NOISE = -40.0
 """Log-variance of a code that is not noisy."""
+
+_TRUNCATED = 0.87962566103423978
+"""Standard deviation of a standard normal that is truncated at two deviations."""
 
 _CORRECTION = 0.1
 """Scale of what the networks add to the linear paths at the start."""
@@ -116,27 +120,23 @@ class OVIB(nn.Module):
         """Declare the layers; flax calls this."""
         arch = self.arch
         dense = partial(nn.Dense, dot_general=dot_general(self.precision))
-        he = nn.initializers.he_normal()
-        # What is added to a linear path starts small.
+        # Two before an activation (He), one before none. What is added to a linear path starts small; the inputs of a
+        # joint layer are those of all views together.
         scale = _CORRECTION**2 if arch.linear else 1.0
-        added_he, added = (
-            nn.initializers.variance_scaling(g * scale, "fan_in", "truncated_normal") for g in (2.0, 1.0)
-        )
-        # The inputs of a joint layer are those of all views together.
-        joint_he = nn.initializers.variance_scaling(2.0 / arch.n_views, "fan_in", "truncated_normal")
+        he, added_he, added = _deviation(2.0), _deviation(2.0 * scale), _deviation(scale)
+        joint_he = _deviation(2.0 / arch.n_views)
         views = range(arch.n_views)
         if arch.encoder == "learned":
             self.encoder_1 = [dense(arch.hidden, use_bias=False, kernel_init=joint_he) for _ in views]
             self.encoder_1_bias = self.param("encoder_1_bias", nn.initializers.zeros, (arch.hidden,))
             self.encoder_2 = dense(arch.last_hidden, kernel_init=added_he)
-            small = nn.initializers.variance_scaling(0.01, "fan_in", "normal")
             bias = nn.initializers.constant(arch.logvar_bias)
-            self.logvar = dense(arch.latent, kernel_init=small, bias_init=bias)
+            self.logvar = dense(arch.latent, kernel_init=_deviation(0.01), bias_init=bias)
         if arch.linear:
             zeros: dict[str, Any] = {"use_bias": False, "kernel_init": nn.initializers.zeros}
             self.direct = [dense(arch.last_hidden, **zeros) for _ in views]
             self.principal = [dense(arch.view_dim, **zeros) for _ in views]
-        self.mean = dense(arch.latent)
+        self.mean = dense(arch.latent, kernel_init=_deviation(1.0))
         self.decoder_1 = dense(arch.last_hidden, kernel_init=he)
         self.decoder_2 = dense(arch.hidden, kernel_init=he)
         if arch.kind == "completing":
@@ -145,7 +145,7 @@ class OVIB(nn.Module):
             self.descriptor = [dense(arch.view_dim, kernel_init=added) for _ in views]
         self.head_1 = [dense(arch.head, use_bias=False, kernel_init=joint_he) for _ in views]
         self.head_1_bias = self.param("head_1_bias", nn.initializers.zeros, (arch.head,))
-        self.head_2 = nn.Dense(3)
+        self.head_2 = nn.Dense(3, kernel_init=_deviation(1.0))
 
     def encode(self, views: Sequence[jax.Array]) -> tuple[jax.Array, jax.Array]:
         """Posterior mean and log-variance, each [B, K], of masked views, each [rows_v, r]."""
@@ -190,6 +190,15 @@ class OVIB(nn.Module):
         return self.locate(self.decode(z, jnp.ones_like(z), [len(x) for x in views]))
 
 
+def _deviation(variance: float) -> nn.initializers.Initializer:
+    """Initialiser that gives not the weights but their standard deviation, for this variance per input; see `init`."""
+
+    def initialise(key: jax.Array, shape: Sequence[int], dtype: Any = jnp.float32) -> jax.Array:
+        return jnp.full(shape, (variance / shape[0]) ** 0.5, dtype)
+
+    return initialise
+
+
 def _per_view(layers: Sequence[nn.Dense], hidden: jax.Array, rows: Sequence[int]) -> list[jax.Array]:
     """A layer per view on the first rows_v rows: [rows_v, r] each."""
     return [layer(hidden[:count]) for layer, count in zip(layers, rows, strict=True)]
@@ -212,7 +221,9 @@ def split_views(x: jax.Array, arch: Architecture, rows: Sequence[int] | None = N
 
 
 def init(key: jax.Array, arch: Architecture) -> Params:
-    """Random parameters to start training from.
+    """Random parameters to start training from: kernels normal, truncated at two deviations; biases constant.
+
+    The kernels are one draw: a draw for each takes as long to compile as a training step.
 
     Args:
         key: random key.
@@ -222,7 +233,13 @@ def init(key: jax.Array, arch: Architecture) -> Params:
         A pytree of float32 arrays.
     """
     views = [jnp.zeros((1, arch.view_dim), jnp.float32)] * arch.n_views
-    return cast(Params, OVIB(arch).init(key, views))
+    tree = OVIB(arch).init(key, views)["params"]
+    kernels = {name: layer.pop("kernel") for name, layer in tree.items() if isinstance(layer, dict)}
+    deviation, unravel = ravel_pytree(kernels)
+    drawn = unravel(deviation * jax.random.truncated_normal(key, -2.0, 2.0, deviation.shape) / _TRUNCATED)
+    return {
+        "params": {name: layer | {"kernel": drawn[name]} if name in drawn else layer for name, layer in tree.items()}
+    }
 
 
 def encode(params: Params, x: jax.Array, arch: Architecture) -> tuple[jax.Array, jax.Array]:

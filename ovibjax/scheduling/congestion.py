@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from ovibjax.scheduling.clients import TraceParams, Workload, make_trace
 from ovibjax.scheduling.events import Events
-from ovibjax.scheduling.replay_grid import run_grid
+from ovibjax.scheduling.replay_grid import run_grid, run_rules
 from ovibjax.scheduling.replay_metrics import ReplayMetrics, metrics
 from ovibjax.scheduling.rules import POLICIES, SchedulerParams
 
@@ -84,13 +84,8 @@ def compare(
     shape = made.uplink_ms.shape[:2]
     flat: Workload = jax.tree.map(lambda leaf: leaf.reshape(-1, leaf.shape[-1]), made)
     size = max((leaf.shape[0] for leaf in jax.tree.leaves(params) if leaf.ndim), default=1)
-    full = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size,)), params)
-
-    def judged(rule: str) -> ReplayMetrics:
-        found = run_grid(flat.requests, rule, full, metrics, flat)
-        return jax.tree.map(lambda leaf: leaf.reshape(*shape, size), found)
-
-    return {rule: judged(rule) for rule in rules}
+    found = run_rules(flat.requests, rules, params, metrics, flat)
+    return jax.tree.map(lambda leaf: leaf.reshape(*shape, size), found)
 
 
 def objectives(workload: Workload, waits_ms: jax.Array, params: SchedulerParams) -> jax.Array:

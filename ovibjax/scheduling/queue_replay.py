@@ -105,7 +105,7 @@ def served_order(requests: Requests, policy: str, params: SchedulerParams) -> ja
     Returns:
         [J] int32 ticks.
     """
-    return _first_come(requests) if policy == "fifo" else _by_priority(requests, policy, params)
+    return _first_come(requests) if policy == "fifo" else served_by(requests, (policy,), jnp.int32(0), params)
 
 
 def _first_come(requests: Requests) -> jax.Array:
@@ -128,8 +128,20 @@ class _State(NamedTuple):
     pending: jax.Array
 
 
-def _by_priority(requests: Requests, policy: str, params: SchedulerParams) -> jax.Array:
-    rule, by_client = RULES[policy], policy in BY_CLIENT
+def served_by(requests: Requests, rules: tuple[str, ...], which: jax.Array, params: SchedulerParams) -> jax.Array:
+    """Start of each service under one of several rules: one program for all of them.
+
+    Args:
+        requests: sorted, leaves [J].
+        rules: some of `POLICIES` (static).
+        which: int32 scalar, the rule.
+        params: scalars.
+
+    Returns:
+        [J] int32 ticks.
+    """
+    choices = [RULES[rule] for rule in rules]
+    by_client = any(rule in BY_CLIENT for rule in rules)
     size = requests.ready.size
     window = min(size, _WINDOW)
 
@@ -143,7 +155,8 @@ def _by_priority(requests: Requests, policy: str, params: SchedulerParams) -> ja
         waiting = (part(state.start) < 0) & (shown.ready <= state.clock)
         head = waiting & ((shown.previous < 0) | (state.start[shown.previous] >= 0))
         queue = Queue(shown, state.clock, waiting, head, state.pending[shown.group].astype(jnp.float32))
-        return offset + jnp.argmax(rule(queue, params)).astype(jnp.int32)
+        priority = jax.lax.switch(which, choices, queue, params) if len(choices) > 1 else choices[0](queue, params)
+        return offset + jnp.argmax(priority).astype(jnp.int32)
 
     def admit(state: _State) -> _State:
         """Count the request that arrives next."""

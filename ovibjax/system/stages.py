@@ -18,13 +18,10 @@ from ovibjax.encoder.model import Params
 from ovibjax.encoder.train import TrainData, fit
 from ovibjax.scheduling.clients import Workload, client_requests, flatten
 from ovibjax.scheduling.events import Events, first_events
-from ovibjax.scheduling.replay_grid import run_grid
+from ovibjax.scheduling.replay_grid import run_rules
 from ovibjax.scheduling.replay_metrics import metrics
 from ovibjax.scheduling.rules import SchedulerParams
 from ovibjax.system.data import SystemConfig, SystemData
-
-USES_V = ("base_dpp",)
-"""Rules whose order depends on V; the shaped rule has weights instead."""
 
 HYPERS = ("beta", "gamma", "lr", "weight_decay", "nesting")
 """Fields of a point that training depends on."""
@@ -163,14 +160,13 @@ def serve(
     """
     sent = jnp.sum(jnp.sum(history.sent.astype(jnp.int32), axis=-1)[data.fleet])
 
+    params = data.scheduler._replace(V=Vs)
+    found = run_rules(workload.requests, static.schedulers, params, _judge, workload)
+
     def of(scheduler: str) -> dict[str, jax.Array]:
-        swept = scheduler in USES_V
-        params = data.scheduler._replace(V=Vs) if swept else data.scheduler
-        found = run_grid(workload.requests, scheduler, params, _judge, workload)
-        judged = jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.mean(leaf, axis=0), Vs.shape), found)
-        served = jnp.broadcast_to(jnp.sum(found["served"], axis=0), Vs.shape)
-        del judged["served"]
-        return judged | {"unserved": sent - served}
+        judged = dict(found[scheduler])
+        served = jnp.sum(judged.pop("served"), axis=0)
+        return jax.tree.map(lambda leaf: jnp.mean(leaf, axis=0), judged) | {"unserved": sent - served}
 
     rules = [of(scheduler) for scheduler in static.schedulers]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=-1), *rules)

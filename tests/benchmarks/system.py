@@ -172,7 +172,7 @@ def main() -> None:
         got, serve_s[rule] = timed(lambda rule=rule: simpy_replay(trace, rule, queue.PAPER_V, queue.PAPER_WEIGHTS), 1)
         worst = float(np.max(np.abs(got - np.asarray(waits(trace, rule, default_params())))))
         print(f"SimPy serves {keep.sum()} requests by {rule} in {serve_s[rule]:.2f} s, waits within {worst:.3f} ms")
-    replays = {rule: len(VS) if rule in stages.USES_V else 1 for rule in POLICIES}
+    replays = {rule: len(VS) if rule == "base_dpp" else 1 for rule in POLICIES}
     servers = len(data.fleet)
     parts = {
         f"PyTorch training: {members} x {train_s:.1f} s": members * train_s,

@@ -86,9 +86,26 @@ def _blur(x: jax.Array) -> jax.Array:
 
 
 def _convolve(x: jax.Array, kernel: jax.Array) -> jax.Array:
-    """Convolution of stride 2, zeros around the image."""
-    pad = [(kernel.shape[0] // 2,) * 2] * 2
-    return jax.lax.conv_general_dilated(x, kernel, (2, 2), pad, dimension_numbers=("NHWC", "HWIO", "NHWC"))
+    """Convolution of stride 2 with an odd kernel, zeros around the image."""
+    stride, pad = (2, 2), [(kernel.shape[0] // 2,) * 2] * 2
+    if x.shape[3] < 8 and kernel.shape[0] == 5:
+        # Three channels leave a CPU's vectors mostly empty: twelve, of 2 x 2 pixels, are ten times as fast.
+        x, kernel, stride, pad = _fold_image(x), _fold_kernel(kernel), (1, 1), [(1, 1)] * 2
+    return jax.lax.conv_general_dilated(x, kernel, stride, pad, dimension_numbers=("NHWC", "HWIO", "NHWC"))
+
+
+def _fold_image(x: jax.Array) -> jax.Array:
+    """Each 2 x 2 pixels as one of four times the channels, [B, H/2, W/2, 4 C]."""
+    size, rows, columns, channels = x.shape
+    blocks = x.reshape(size, rows // 2, 2, columns // 2, 2, channels).transpose(0, 1, 3, 2, 4, 5)
+    return blocks.reshape(size, rows // 2, columns // 2, 4 * channels)
+
+
+def _fold_kernel(kernel: jax.Array) -> jax.Array:
+    """The [3, 3, 4 C, out] kernel that does at stride 1 on folded images what a [5, 5, C, out] one does at stride 2."""
+    channels, out = kernel.shape[2:]
+    whole = jnp.pad(kernel, ((0, 1), (0, 1), (0, 0), (0, 0))).reshape(3, 2, 3, 2, channels, out)
+    return whole.transpose(0, 2, 1, 3, 4, 5).reshape(3, 3, 4 * channels, out)
 
 
 def _pool(x: jax.Array, grid: tuple[int, int]) -> jax.Array:
