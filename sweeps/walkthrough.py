@@ -7,8 +7,6 @@ executes it and draws what it finds.
 import time
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray
 
@@ -23,14 +21,13 @@ from ovibjax.report.claims import Claim, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.runtime.progress import progress_bar
 from ovibjax.scheduling.rules import POLICIES
-from ovibjax.system import chain as system
-from ovibjax.system.data import SystemSize, make_system
+from ovibjax.system.data import SystemSize
 from ovibjax.system.grids import sweep_system
 
 TITLE = "Walkthrough: from a town to a plot, in Python"
 SEEDS = {"smoke": 1, "quick": 2, "full": 3}
 SIZES = {"smoke": SystemSize(20, 256, clients=1, fleet=3), "quick": SystemSize(), "full": SystemSize()}
-BETAS, KS, VS = [1e-4, 1e-2], [8, 16, 32, 64], [0.0, 8.0]
+BETAS, KS, VS = [1e-4, 1e-2], [8, 16, 32, 64], [0.0, 1.0, 4.0, 8.0, 16.0, 64.0]
 CONTEXT_COLOURS = (fig.BLUE, fig.ORANGE, fig.GREEN, fig.GREY)
 
 
@@ -62,18 +59,16 @@ def run(job: Job) -> None:
     # 5. The best point under a budget, as `ovibjax best` finds it.
     best = choose(grid, "mean_route_m", ["kb<=2.1"])
 
-    # 6. The same point alone, as one pure function: what the grid holds is what it gives.
-    point = {"beta": best.point["beta"], "gamma": best.point["gamma"], "V": VS[0]}
-    at = {name: jnp.float32(value) for name, value in point.items()} | {"k": jnp.int32(best.point["k"])}
-    with job.stage("replay"):
-        data, static = make_system(drives, training, size)
-        alone = jax.jit(system.run, static_argnames="static")(jax.random.key(seeds[0]), at, data, static)
+    # 6. The same point in a grid of its own: what a member gives does not depend on the grid that it is in.
+    own = {"beta": [best.point["beta"]], "gamma": [best.point["gamma"]], "seed": seeds[:1]}
+    with job.stage("train"):
+        alone = sweep_system((drives, training, size), own, (KS, VS, POLICIES))
     inside = float(grid.mean_route_m.sel(**best.point, seed=seeds[0]))
-    gap = abs(float(alone["mean_route_m"]) / inside - 1.0)
+    gap = abs(float(alone.mean_route_m.sel(**best.point, seed=seeds[0])) / inside - 1.0)
 
     # 7. A table, a judged claim and a figure.
     write_rows(job.out / "table.csv", grid.mean_route_m.to_dataframe().reset_index().to_dict("records"))
-    statement = "A point run alone, as one pure function, equals the same point inside the grid"
+    statement = "A point in a grid of its own equals the same point inside the larger grid"
     ours = f"relative difference of the route error {gap:.1e}"
     write_claims(job.out / "claims.json", [Claim.true(statement, "-", ours, gap <= 1e-4, "at most 1e-4")])
     with job.stage("draw"):

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.cards.ablation_study import RECIPE_VARIANTS, Ablation, named
+from ovibjax.cards.ablation_study import Ablation, named
+from ovibjax.cards.recipe_study import RECIPE_VARIANTS
 from ovibjax.encoder.loss import GAMMA
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import interval

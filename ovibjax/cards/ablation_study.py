@@ -1,7 +1,7 @@
 """The encoder ablation as data: variants and seeds trained in one sweep, coordinate orderings judged in another."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -10,20 +10,17 @@ import numpy as np
 import xarray
 
 from ovibjax.cards.job import Sweep
+from ovibjax.cards.recipe_study import RECIPE_VARIANTS, train_recipe
 from ovibjax.edge.judging import Trained, judge_prefixes
 from ovibjax.edge.member import DIMS, ORDERINGS, UNITS, JudgeOrdering, TrainAndJudge
 from ovibjax.encoder.loss import BETA, GAMMA
 from ovibjax.encoder.orthogonality import SingularValues, singular_values
 from ovibjax.encoder.pca import fit_pca
-from ovibjax.encoder.recipe import PAPER_PREFIXES
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.encoder.training_data import MemberData
 from ovibjax.sweep.select import tree_of
 from ovibjax.sweep.work import Along
 from ovibjax.views import full_mode, mode_mask
-
-RECIPE_VARIANTS = ("no_linear_start", "no_completion", "gelu", "paper_prefixes", "pca_completed")
-"""What our recipe adds to the paper's, each taken away alone; and principal coordinates with the completing decoder."""
 
 
 @dataclass(frozen=True)
@@ -73,19 +70,6 @@ def named(gamma: float) -> str:
     return f"gamma_{gamma:g}" if gamma > 0 else "no_orthogonality"
 
 
-def without(variant: str, static: TrainConfig) -> TrainConfig:
-    """The recipe changed as one of `RECIPE_VARIANTS` says."""
-    if variant == "paper_prefixes":
-        return replace(static, prefixes=tuple(min(k, static.arch.latent) for k in PAPER_PREFIXES))
-    change: dict[str, dict[str, Any]] = {
-        "no_linear_start": {"kind": "dense"},
-        "no_completion": {"kind": "linear"},
-        "gelu": {"wave": "gelu"},
-        "pca_completed": {"encoder": "principal"},
-    }
-    return replace(static, arch=replace(static.arch, **change[variant]))
-
-
 def ablate(
     sweep: Sweep,
     static: TrainConfig,
@@ -114,27 +98,18 @@ def ablate(
     beta, gamma, nesting = zip(*variants.values(), strict=True)
     mode = full_mode(static.arch.n_views)
     coords = {"prefix": list(ks)}
-    judged: dict[str, Any] = {"dims": DIMS, "coords": coords | {"mode": [mode]}, "units": UNITS}
     dataset = sweep(
         "training and judging variants",
         TrainAndJudge(static, ks, (mode,), keep_params=True),
         {"variant": list(variants), "beta": beta, "gamma": gamma, "nesting": nesting, "seed": seeds},
         Along("seed", members),
         zipped=[["variant", "beta", "gamma", "nesting"]],
-        **judged,
+        dims=DIMS,
+        coords=coords | {"mode": [mode]},
+        units=UNITS,
     )
     trained = dataset.isel(mode=0).swap_dims({dataset.variant.dims[0]: "variant"})
-    others = [
-        sweep(
-            f"training {variant.replace('_', ' ')}",
-            TrainAndJudge(without(variant, static), ks, (mode,)),
-            {"seed": seeds},
-            Along("seed", members),
-            **judged,
-        )
-        for variant in recipe
-    ]
-    changed = xarray.concat(others, xarray.DataArray(list(recipe), dims="variant", name="variant")).isel(mode=0)
+    changed = train_recipe(sweep, static, recipe, ks, members, seeds)
     chosen = {"variant": named(GAMMA)}
     params = [{"params": tree_of(trained, "params", chosen | {"seed": seed})} for seed in seeds]
     full = [Trained(*pair) for pair in zip(members, params, strict=True)]

@@ -43,6 +43,7 @@ from ovibjax.control.environment import draw
 from ovibjax.control.residuals import encode_views
 from ovibjax.control.route_replay import simulate
 from ovibjax.encoder.checkpoint import mix_frames
+from ovibjax.encoder.loss import LR
 from ovibjax.encoder.model import dense_layers
 from ovibjax.scheduling.queue_replay import waits
 from ovibjax.scheduling.requests import RequestTrace
@@ -64,12 +65,12 @@ TRAINING_ROUTES = 3
 
 def numpy_retrieval(params: Any, data: SystemData, masks: np.ndarray, k: int) -> np.ndarray:
     """[A, F] retrieved references, leave one out, as one writes it in NumPy."""
-    layers = {name: (np.asarray(d["kernel"]), np.asarray(d["bias"])) for name, d in dense_layers(params).items()}
+    layers = {name: jax.tree.map(np.asarray, layer) for name, layer in dense_layers(params).items()}
     x = np.asarray(data.x).reshape(len(data.x), -1)
     references, own = np.asarray(data.references), np.asarray(data.own)
 
     def dense(name: str, h: np.ndarray) -> np.ndarray:
-        return h @ layers[name][0] + layers[name][1]
+        return h @ layers[name]["kernel"] + layers[name].get("bias", np.float32(0.0))
 
     def gelu(h: np.ndarray) -> np.ndarray:
         return 0.5 * h * (1.0 + np.tanh(np.sqrt(2.0 / np.pi, dtype=np.float32) * (h + 0.044715 * h**3)))
@@ -77,9 +78,12 @@ def numpy_retrieval(params: Any, data: SystemData, masks: np.ndarray, k: int) ->
     found = []
     for mask in masks:
         wide = np.repeat(mask, x.shape[1] // len(mask))
-        mu = dense("mean", gelu(dense("encoder_2", gelu(dense("encoder_1", x * wide)))))
+        kept = x * wide
+        mu = dense("mean", dense("encoder_2", gelu(dense("encoder_1", kept))) + dense("direct", kept))
         mu[:, k:] = 0.0
-        descriptor = dense("descriptor", gelu(dense("decoder_2", gelu(dense("decoder_1", mu))))) * wide
+        coordinates = dense("completion", gelu(dense("decoder_2", np.sin(dense("decoder_1", mu)))))
+        coordinates[:, :k] = mu[:, :k]
+        descriptor = dense("principal", coordinates) * wide
         unit = descriptor[references] / np.linalg.norm(descriptor[references], axis=1, keepdims=True)
         similarity = descriptor @ unit.T
         rows = np.flatnonzero(own >= 0)
@@ -136,7 +140,7 @@ def main() -> None:
     point = {"beta": jnp.float32(1e-3), "gamma": jnp.float32(0.1)}
     key = jax.random.key(SEEDS[0])
     train_key, route_key, queue_key = jax.random.split(key, 3)
-    hypers = {"alpha": 0.0, "beta": 1e-3, "gamma": 0.1, "lr": 2e-3, "weight_decay": 1e-4}
+    hypers = {"alpha": 0.0, "beta": 1e-3, "gamma": 0.1, "lr": LR, "weight_decay": 1e-4}
     mixed = np.asarray(mix_frames(train_key, data.seen_x, static.mixed))
     _, train_s = timed(
         lambda: train_member(0, hypers, mixed, np.zeros((len(mixed), 3), np.float32), static.train), repeats=1

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ovibjax import sweep
-from ovibjax.cards.ablation_study import RECIPE_VARIANTS, ablate, named, table_rows, without
+from ovibjax.cards.ablation_study import ablate, named, table_rows
+from ovibjax.cards.recipe_study import RECIPE_VARIANTS, changed
 from ovibjax.edge.member import DIMS, ORDERINGS, TrainAndJudge
 from ovibjax.encoder.loss import GAMMA
 from ovibjax.encoder.train import TrainConfig
@@ -34,7 +35,7 @@ def test_ablation_trains_what_it_names():
         found.orders.sel(ordering="learned").values, trained.test_mean_m.sel(variant=named(GAMMA)).values, rtol=1e-3
     )
     # What is changed in the recipe is trained as named, too.
-    judge = TrainAndJudge(without("no_completion", STATIC), KS, ("A5",))
+    judge = TrainAndJudge(changed("no_completion", STATIC), KS, ("A5",))
     alone = jax.jit(judge)(jax.random.key(1), {}, members[1])["test_mean_m"][0]
     np.testing.assert_allclose(found.at("no_completion", KS[-1])[1], alone[-1], rtol=0.02)
     assert len({tuple(found.recipe.test_mean_m.sel(variant=v).values.ravel()) for v in RECIPE_VARIANTS}) == 5
