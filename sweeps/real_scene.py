@@ -47,7 +47,7 @@ class Preset:
 PRESETS = {
     "smoke": Preset(rooms=2, seeds=1, steps=40, checkpoints=4),
     "quick": Preset(rooms=4, seeds=2, steps=600, checkpoints=12),
-    "full": Preset(rooms=8, seeds=3, steps=1000, checkpoints=20),
+    "full": Preset(rooms=8, seeds=3, steps=600, checkpoints=12),
 }
 
 

@@ -49,8 +49,8 @@ class Preset:
 VS = (0.0, 1.0, 4.0, 8.0, 16.0, 64.0)
 PRESETS = {
     "smoke": Preset((1e-3,), (0.1,), (8, 16), (0.0, 8.0), 2, SystemSize(20, 256, clients=2, fleet=4), "smoke"),
-    "quick": Preset((1e-4, 1e-2), (0.0, 0.1), (8, 16, 32, 64), VS, 2, SystemSize(), "full"),
-    "full": Preset((1e-4, 1e-3, 1e-2), (0.0, 0.1, 1.0), (8, 16, 32, 64), VS, 5, SystemSize(2000), "full"),
+    "quick": Preset((1e-4, 1e-2), (0.0, 0.1), (8, 16, 32, 64), VS, 4, SystemSize(), "full"),
+    "full": Preset((1e-4, 1e-3, 1e-2), (0.0, 0.1, 1.0), (8, 16, 32, 64), VS, 5, SystemSize(), "full"),
 }
 
 

@@ -105,7 +105,7 @@ def timed(work: Callable[[], Any], repeats: int = 3) -> tuple[Any, float]:
 def main() -> None:
     """Time both ways and print the arithmetic and the ratio."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=2000, help="training steps (default 2000, as the full preset)")
+    parser.add_argument("--steps", type=int, default=SystemSize().steps, help="training steps (default: the figure's)")
     parser.add_argument("--members", type=int, default=8, help="members of ours that are timed (default 8)")
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="threads of PyTorch (default: cores)")
     options = parser.parse_args()
