@@ -122,5 +122,5 @@ def _draw_differences(ax: Axes, found: Ablation, gammas: Sequence[float], k: int
     ax.axvline(0, color=fig.BLUE, lw=1)
     category_axis(ax, [NAMES.get(name, "γ = " + name.removeprefix("gamma_")) for name in names])
     ax.set(xlabel=f"error minus error of Full at k = {k} (m)")
-    ax.legend(loc="lower left")
+    ax.legend(loc="lower right")
     fig.title(ax, "d", "zoom: paired differences to Full")

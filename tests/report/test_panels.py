@@ -5,7 +5,7 @@ import pytest
 
 from ovibjax.report import panels
 from ovibjax.report.claims import Interval
-from ovibjax.report.figures import BLUE, ORANGE
+from ovibjax.report.figures import BLUE, ORANGE, band, spread
 from ovibjax.report.figures import panels as grid
 
 
@@ -61,9 +61,21 @@ def test_a_heat_map_writes_white_on_dark(ax) -> None:
 
 
 def test_a_distribution_stays_between_nothing_and_all(ax) -> None:
-    shares = np.array([[0.0, 0.5, 1.0], [0.1, 0.9, 1.0]])
+    shares = np.array([[0.0, 0.5, 1.0], [0.1, 0.9, 1.0]] * 2)
     panels.distribution(ax, np.arange(3.0), shares, BLUE, "d")
     low, high = ax.collections[0].get_paths()[0].get_extents().intervaly
     assert (low, high) == (0.0, 1.0)
     panels.headroom(ax, 2.0)
     assert ax.get_ylim()[1] > 2.0
+
+
+def test_few_seeds_are_thin_lines_and_many_a_band(ax) -> None:
+    x, curves = np.arange(3.0), np.array([[1.0, 2.0, 3.0], [1.5, 2.5, 3.5], [1.0, 2.0, 4.0]])
+    band(ax, x, curves, BLUE, "three")
+    assert len(ax.collections) == 0 and len(ax.lines) == 4
+    assert [line.get_label() for line in ax.lines].count("three") == 1
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), curves[1])
+    assert spread(3).startswith("Thin lines are the 3 seeds")
+    band(ax, x, np.vstack([curves, curves[:1]]), BLUE, "four")
+    assert len(ax.collections) == 1 and len(ax.lines) == 5
+    assert spread(4, "trials") == "Bands and caps are 95 % intervals over 4 trials"

@@ -5,6 +5,9 @@ the first hit is one fused minimum over integers that carry the distance in thei
 low bits (`_first_hit`).
 """
 
+from collections.abc import Callable, Sequence
+from functools import reduce
+
 import jax
 import jax.numpy as jnp
 
@@ -15,6 +18,12 @@ FAR_M = 1e6
 """Distance of what no ray meets."""
 
 _SLOT_BITS = 6
+
+Winner = tuple[jax.Array, list[jax.Array]]
+"""Distance to what a ray meets first, and the columns of its row."""
+
+Hit = Callable[[jax.Array, jax.Array, Vector], tuple[jax.Array, jax.Array]]
+"""`hit_boxes` or `hit_trees`."""
 
 
 def box_spheres(boxes: jax.Array) -> jax.Array:
@@ -43,6 +52,37 @@ def cull(rows: jax.Array, spheres: jax.Array, origin: jax.Array, axes: jax.Array
     order = jax.lax.top_k(-jnp.where(outside, FAR_M, distance), keep)[1]
     # What lies outside is moved far away, so that a slot without a primitive never hits.
     return jnp.where(outside[order][:, None], FAR_M, rows[order])
+
+
+def groups(rows: jax.Array, size: int) -> list[jax.Array]:
+    """Primitives [V, B, A] in groups of one size, so that pictures with more of them need no programs of their own."""
+    missing = -rows.shape[1] % size
+    if rows.shape[1] < size:
+        return [rows]
+    rows = jnp.pad(rows, ((0, 0), (0, missing), (0, 0)), constant_values=FAR_M) if missing else rows
+    return [rows[:, start : start + size] for start in range(0, rows.shape[1], size)]
+
+
+def first_of_groups(hit: Hit, parts: Sequence[jax.Array], origin: jax.Array, ray: Vector) -> Winner:
+    """Distance [V, P] to the first primitive of any group on each ray, and the columns of its row, A arrays [V, P]."""
+    found = []
+    for rows in parts:
+        distance, slot = hit(rows, origin, ray)
+        found.append((distance, lookup(rows, slot)))
+    return reduce(_nearer, found)
+
+
+@jax.jit
+def _nearer(one: Winner, other: Winner) -> Winner:
+    closer = other[0] < one[0]
+    nearer: Winner = jax.tree.map(lambda a, b: jnp.where(closer, b, a), one, other)
+    return nearer
+
+
+def sunlit_by_groups(boxes: Sequence[jax.Array], trees: Sequence[jax.Array], hit: Vector) -> jax.Array:
+    """`sunlit` of several groups of primitives."""
+    count = max(len(boxes), len(trees))
+    return reduce(jnp.minimum, [sunlit(boxes[i % len(boxes)], trees[i % len(trees)], hit) for i in range(count)])
 
 
 @jax.jit

@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from ovibjax.runtime.batches import padded_batches
 from ovibjax.world.rays import VIEW_YAW_DEG, pinhole_rays
-from ovibjax.world.town.hits import FAR_M, box_spheres, cull, hit_boxes, hit_trees, lookup, sunlit, tree_spheres
+from ovibjax.world.town.hits import (
+    FAR_M,
+    box_spheres,
+    cull,
+    first_of_groups,
+    groups,
+    hit_boxes,
+    hit_trees,
+    sunlit_by_groups,
+    tree_spheres,
+)
 from ovibjax.world.town.layout import Town
 from ovibjax.world.town.pieces import PIECE_PX, cut, joined
 from ovibjax.world.town.route import Route
@@ -120,9 +130,10 @@ def _render_rays(
     town: Town, camera: Camera, origin: jax.Array, ray: list[jax.Array], boxes: jax.Array, trees: jax.Array
 ) -> Views:
     """Images [V, P] of the rays of V views."""
-    (t_box, box_slot), (t_tree, tree_slot) = hit_boxes(boxes, origin, ray), hit_trees(trees, origin, ray)
-    winners = (lookup(boxes, box_slot), lookup(trees, tree_slot))
-    surface = _surface((t_box, t_tree), origin, ray, winners, camera)
+    box_groups, tree_groups = groups(boxes, Camera.max_boxes), groups(trees, Camera.max_trees)
+    t_box, box = first_of_groups(hit_boxes, box_groups, origin, ray)
+    t_tree, tree = first_of_groups(hit_trees, tree_groups, origin, ray)
+    surface = _surface((t_box, t_tree), origin, ray, (box, tree), camera)
     materials = (
         shade_wall(surface.hit, surface.box, surface.faces_x, ray, surface.footprint),
         shade_roof(surface.hit, surface.box, surface.footprint),
@@ -130,7 +141,7 @@ def _render_rays(
         shade_ground(town, surface.hit, surface.slant),
         shade_sky(surface.direction),
     )
-    return _compose(surface, materials, sunlit(boxes, trees, surface.hit))
+    return _compose(surface, materials, sunlit_by_groups(box_groups, tree_groups, surface.hit))
 
 
 def render_frames(
