@@ -1,6 +1,6 @@
 """The paper's claims on compression and the project's expectations of the embedded town, by stated rules."""
 
-from ovibjax.cards.compression_methods import SPARSE_PREFIXES
+from ovibjax.cards.compression_methods import RECODED_K, SPARSE_PREFIXES
 from ovibjax.cards.compression_results import Results
 from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, PAPER_LATENCY_MS
 from ovibjax.link.latency import JETSON, kbytes_per_s, semantic_latency_ms
@@ -45,7 +45,7 @@ def _against_pca(results: Results) -> list[Claim]:
     behind = {k: span.text() for k, span in worse.items() if span.mean > 0}
     where = ", ".join(f"k = {k} ({text} m)" for k, text in behind.items())
     decoder = {k: interval(results.at("pca_completed", k) - results.at("ovib", k)).text() for k in (8, 16, 35, 128)}
-    recoded = [interval(results.at(method, 16, recoded=True)).text("m") for method in ("ovib", "pca")]
+    recoded = [interval(results.recoded_m(method)).text("m") for method in ("ovib", "pca")]
     return [
         Claim.ratio_at_most(
             "O-VIB at k = 16 has at most half of PCA's error at k = 16",
@@ -70,7 +70,8 @@ def _against_pca(results: Results) -> list[Claim]:
             "paired over seeds; above zero where a learned code is better than PCA's",
         ),
         Claim.reported(
-            "What a re-coded database changes: references passed through the same code and prefix as the query, k = 16",
+            "What a re-coded database changes: references passed through the same code and prefix as the query, "
+            f"k = {RECODED_K}",
             "-",
             f"O-VIB {recoded[0]}, PCA {recoded[1]}",
             "not part of the frozen-localizer protocol",

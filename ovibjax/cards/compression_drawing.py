@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.cards.codec_frontier import PAPER_LATENCY_S, Frontier
-from ovibjax.cards.compression_methods import SPARSE_PREFIXES, prefixes_of
+from ovibjax.cards.compression_methods import FIXED, SPARSE_PREFIXES, prefixes_of
 from ovibjax.cards.compression_results import Results
 from ovibjax.cards.deployment_overhead import LINK_KB_PER_S, PAPER_LATENCY_MS
 from ovibjax.features.images.codecs import CODECS
@@ -92,9 +92,8 @@ def _draw_payloads(ax: Axes, results: Results, frontier: Frontier | None) -> Non
         keep = ks >= 4
         x, curves = kib(method, ks[keep]), results.mean_m(method)[:, keep]
         fig.band(ax, x, curves, COLOURS[method], NAMES[method], style, marker)
-    bank = np.concatenate([results.mean_m(f"fixed_{k}") for k in results.fixed], axis=1)
-    look: dict[str, Any] = {"color": COLOURS["fixed"], "label": "fixed-rate O-VIB", "capsize": 2, "lw": 1}
-    ax.errorbar(kib("fixed", np.array(results.fixed)), *fig.mean_and_half(bank), fmt="D", ms=4, **look)
+    if results.fixed:
+        _draw_bank(ax, kib("fixed", np.array(results.fixed)), results)
     raw_kib = results.payload_bytes("raw", 0) / 1024
     ax.plot(raw_kib, results.mean_m("raw").mean(), "X", ms=6, color=COLOURS["raw"], label="raw features")
     if frontier:
@@ -104,6 +103,13 @@ def _draw_payloads(ax: Axes, results: Results, frontier: Frontier | None) -> Non
     fig.plain_log_ticks(ax.xaxis)
     ax.legend(loc="upper right", ncols=2, columnspacing=1.0, handlelength=1.4)
     fig.title(ax, "b", "payload and error")
+
+
+def _draw_bank(ax: Axes, sizes_kb: np.ndarray, results: Results) -> None:
+    """Payload and error of the fixed-rate models."""
+    errors_m = np.concatenate([results.mean_m(f"fixed_{k}") for k in results.fixed], axis=1)
+    look: dict[str, Any] = {"color": COLOURS["fixed"], "label": "fixed-rate O-VIB", "capsize": 2, "lw": 1}
+    ax.errorbar(sizes_kb, *fig.mean_and_half(errors_m), fmt="D", ms=4, **look)
 
 
 def _draw_codecs(ax: Axes, frontier: Frontier) -> None:
@@ -166,7 +172,7 @@ def latencies(results: Results, frontier: Frontier | None) -> list[Latency]:
     rows = []
     for label, k in (
         *((f"O-VIB k={k}", k) for k in sorted({16, 35, results.chosen})),
-        *((f"fixed K={k}", k) for k in results.fixed),
+        *((f"fixed K={k}", k) for k in FIXED),
     ):
         sent_ms = 1e3 * float(transmit_s(representation_bytes(k), rate_bps))
         rows.append(Latency(label, float(compute_ms_at(JETSON, k)), sent_ms, PAPER_LATENCY_MS.get(k)))

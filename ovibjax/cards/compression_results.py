@@ -40,11 +40,14 @@ class Results:
         """[seeds, prefixes] mean test errors."""
         return np.stack([judged.test_error_m.mean(axis=1) for judged in self.judged[method]])
 
-    def at(self, method: str, k: int, recoded: bool = False) -> np.ndarray:
+    def at(self, method: str, k: int) -> np.ndarray:
         """[seeds] mean test error at one prefix."""
-        index = int(np.flatnonzero(prefixes_of("pca" if recoded else method) == k)[0])
-        judged = (self.recoded if recoded else self.judged)[method]
-        return np.array([j.test_error_m[index].mean() for j in judged])
+        index = int(np.flatnonzero(prefixes_of(method) == k)[0])
+        return np.array([judged.test_error_m[index].mean() for judged in self.judged[method]])
+
+    def recoded_m(self, method: str) -> np.ndarray:
+        """[seeds] mean test error at `RECODED_K` with the database passed through the code."""
+        return np.array([judged.test_error_m[0].mean() for judged in self.recoded[method]])
 
     def payload_bytes(self, method: str, k: int) -> int:
         """Bytes of one representation: header and prefix, or raw float32 features."""

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from ovibjax.edge.localize import errors, mix, select_eta
 from ovibjax.edge.retrieval import brute_force
 from ovibjax.encoder.model import Architecture, Params, decode, encode, locate
-from ovibjax.encoder.pca import PCA, pca_reconstruct
+from ovibjax.encoder.pca import PCA, pca_coordinates, pca_decode
 from ovibjax.encoder.training_data import MemberData
 
 
@@ -65,16 +65,23 @@ def judge(trained: Trained, arch: Architecture, view_mask: jax.Array, codec: Cod
     Returns:
         Errors in metres and the chosen mixing weight.
     """
-    data, params = trained
     mask = jnp.repeat(view_mask, arch.view_dim)[None]
-
-    def flat(x: jax.Array) -> jax.Array:
-        return x.reshape(x.shape[0], -1) * mask
-
-    database = flat(data.train.x)
+    asked, database = _frames(trained, arch, view_mask)
     database = codec(database) * mask if recode else database
+    return _localized(trained, arch, codec(asked) * mask, database)
+
+
+def _frames(trained: Trained, arch: Architecture, view_mask: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Masked features of the frames that are localized, validation before test, and of the database: [B, M r] each."""
+    data, mask = trained.data, jnp.repeat(view_mask, arch.view_dim)[None]
+    asked = jnp.concatenate([data.val_x, data.test_x])
+    return asked.reshape(asked.shape[0], -1) * mask, data.train.x.reshape(data.train.x.shape[0], -1) * mask
+
+
+def _localized(trained: Trained, arch: Architecture, descriptor: jax.Array, database: jax.Array) -> Judged:
+    """Localize the frames of `_frames` from the descriptors [B, M r] that reached the edge."""
+    data, params = trained
     n_val = data.val_x.shape[0]
-    descriptor = codec(flat(jnp.concatenate([data.val_x, data.test_x]))) * mask
     truth = jnp.concatenate([data.val_m, data.test_m])
     standardized = locate(params, descriptor, arch)
     reg = data.standardizer.mean_m[None] + data.standardizer.scale_m * standardized
@@ -114,24 +121,31 @@ def judge_prefixes(
         `Judged` with leading axis P.
     """
     position = jnp.arange(arch.latent) if order is None else jnp.argsort(order)
+    mask = jnp.repeat(view_mask, arch.view_dim)[None]
+    asked, database = _frames(trained, arch, view_mask)
+
+    # Encoding does not depend on the prefix, and is done once.
+    def code(x: jax.Array) -> jax.Array:
+        return pca_coordinates(pca, x) if pca is not None else encode(trained.params, x, arch)[0]
+
+    def received(coded: jax.Array, prefix: jax.Array) -> jax.Array:
+        if pca is not None:
+            return pca_decode(pca, coded, prefix) * mask
+        return decode(trained.params, coded, prefix, arch) * mask
+
+    of_asked, of_database = code(asked), code(database) if recode else None
 
     def one(k: jax.Array) -> Judged:
         prefix = (position < k).astype(jnp.float32)
-
-        def codec(x: jax.Array) -> jax.Array:
-            if pca is not None:
-                return pca_reconstruct(pca, x, prefix)
-            mu, _ = encode(trained.params, x, arch)
-            return decode(trained.params, mu, prefix, arch)
-
-        return judge(trained, arch, view_mask, codec, recode)
+        references = database if of_database is None else received(of_database, prefix)
+        return _localized(trained, arch, received(of_asked, prefix), references)
 
     return jax.lax.map(one, prefixes)
 
 
 def judge_raw(trained: Trained, arch: Architecture, view_mask: jax.Array) -> Judged:
     """Judge uncompressed features of a view mode; arguments as in `judge`."""
-    return judge(trained, arch, view_mask, lambda x: x)
+    return _localized(trained, arch, *_frames(trained, arch, view_mask))
 
 
 def one_standard_error_choice(val_error_m: jax.Array, prefixes: jax.Array) -> jax.Array:

@@ -31,15 +31,25 @@ def fit_pca(x: jax.Array, latent: int) -> PCA:
     return PCA(vectors[:, ::-1][:, : min(latent, *x.shape)])
 
 
-def pca_reconstruct(pca: PCA, x: jax.Array, prefix: jax.Array) -> jax.Array:
-    """Reconstruction [B, D] of features [B, D] from their first k principal coordinates.
+def pca_coordinates(pca: PCA, x: jax.Array) -> jax.Array:
+    """Principal coordinates [B, K] of features [B, D]."""
+    return x @ pca.components
+
+
+def pca_decode(pca: PCA, coordinates: jax.Array, prefix: jax.Array) -> jax.Array:
+    """Features [B, D] that the first k principal coordinates stand for.
 
     Args:
         pca: a fitted code.
-        x: [B, D] features.
-        prefix: [K] binary prefix mask.
+        coordinates: [B, K] principal coordinates.
+        prefix: [K] binary prefix mask; what is beyond the code's length is not used.
 
     Returns:
         [B, D] reconstruction.
     """
-    return ((x @ pca.components) * prefix[None, : pca.components.shape[1]]) @ pca.components.T
+    return (coordinates * prefix[None, : pca.components.shape[1]]) @ pca.components.T
+
+
+def pca_reconstruct(pca: PCA, x: jax.Array, prefix: jax.Array) -> jax.Array:
+    """Reconstruction [B, D] of features [B, D] from their first k principal coordinates, see `pca_decode`."""
+    return pca_decode(pca, pca_coordinates(pca, x), prefix)
