@@ -46,7 +46,7 @@ PRESETS = {
     "smoke": Preset(2, 30, (0.1, 1.0), ("no_linear_start", "pca_completed"), (16, 35, 128)),
     "quick": Preset(3, None, (0.1, 1.0), _MOST_TELLING, (4, 8, 16, 24, 35, 64, 96, 128)),
     "full": Preset(
-        5,
+        4,
         None,
         (0.01, 0.1, 1.0, 10.0),
         RECIPE_VARIANTS,
