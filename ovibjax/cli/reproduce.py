@@ -17,7 +17,7 @@ class Reproduce:
     """
 
     preset: Literal["smoke", "quick", "full"] = "quick"
-    """smoke: seconds, to see that it runs; quick: minutes; full: what the repository's results/ holds."""
+    """smoke: to see that it runs; quick: trained as full, fewer seeds and points; full: what results/ holds."""
     only: tuple[str, ...] = ()
     """Names of the figures to make, e.g. scalable_compression; all by default."""
     out: Path = Path("results")
