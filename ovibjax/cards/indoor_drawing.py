@@ -133,5 +133,6 @@ def _draw_training(ax: Axes, found: Sequence[PlatformResults], steps: int) -> No
         ax.plot(step[best], scores.reshape(-1, checkpoints).min(axis=1), ".", ms=4, color=colour)
     ax.plot([], [], ".", color=fig.GREY, label="checkpoint kept")
     ax.set(xlabel="training step", ylabel="validation error (m)")
-    ax.legend(loc="upper right")
+    headroom(ax, 1.25)
+    ax.legend(loc="upper right", ncols=2, columnspacing=0.8)
     fig.title(ax, "e", "early stopping")
