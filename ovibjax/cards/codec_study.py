@@ -51,7 +51,7 @@ def _rungs(step: slice) -> tuple[tuple[str, int], ...]:
 PLANS = {
     "smoke": CodecPlan(frames=3, rungs=(("jpeg", 8), ("h265", 41))),
     "quick": CodecPlan(frames=5, rungs=_rungs(slice(0, 3, 2))),
-    "full": CodecPlan(frames=120, rungs=_rungs(slice(None))),
+    "full": CodecPlan(frames=40, rungs=_rungs(slice(None))),
 }
 
 
