@@ -15,7 +15,7 @@ from ovibjax.features.images.codecs import NAMES as CODEC_NAMES
 from ovibjax.link.latency import JETSON, compute_ms_at, kbytes_per_s, transmit_s
 from ovibjax.link.payload import representation_bytes
 from ovibjax.report import figures as fig
-from ovibjax.report.panels import category_axis, sheet, star
+from ovibjax.report.panels import category_axis, headroom, sheet, star
 
 NAMES = {
     "ovib": "O-VIB",
@@ -70,7 +70,7 @@ def _draw_prefixes(ax: Axes, results: Results) -> None:
     star(ax, results.chosen, chosen)
     ax.annotate(
         f"selected k = {results.chosen}\n{chosen:.1f} m, {representation_bytes(results.chosen)} B",
-        *((results.chosen, chosen), (results.chosen + 8, chosen * 2.2)),
+        *((results.chosen, chosen), (min(results.chosen + 8, 88), chosen * 2.2)),
         arrowprops={"arrowstyle": "-", "lw": 0.6},
     )
     ax.set(xlabel="prefix length k (floats)", ylabel="mean error (m)", yscale="log", xlim=(0, 129))
@@ -99,6 +99,7 @@ def _draw_payloads(ax: Axes, results: Results, frontier: Frontier | None) -> Non
     if frontier:
         _draw_codecs(ax, frontier)
     ax.set(xlabel="payload (KB)", ylabel="mean error (m)", xscale="log", yscale="log")
+    headroom(ax, 12.0)
     fig.plain_log_ticks(ax.yaxis)
     fig.plain_log_ticks(ax.xaxis)
     ax.legend(loc="upper right", ncols=2, columnspacing=1.0, handlelength=1.4)
