@@ -23,7 +23,8 @@ REFERENCE_S: dict[str, tuple[float, float, float]] = {
 }
 """Seconds by card, one per preset of `PRESETS`, of a whole run with nothing compiled before; only their ratios count.
 
-Measured on two cores (x86 with AVX-512); some of `quick` is reckoned. Cards that share a study are listed as they run, by name: the first pays for it."""
+Measured on two cores (x86 with AVX-512); some of `quick` is reckoned.
+Cards that share a study are listed as they run, by name: the first pays for it."""
 
 
 def remaining_s(preset: str, seen_s: Mapping[str, float], left: Sequence[str]) -> float | None:
