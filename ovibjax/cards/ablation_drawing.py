@@ -23,7 +23,7 @@ NAMES = {
     "no_completion": "no completion",
     "gelu": "GELU for the sine",
     "paper_prefixes": "prefixes drawn evenly",
-    "pca_completed": "PCA, completing decoder",
+    "pca_completed": "PCA, our decoder",
     "pca": "PCA",
 }
 COLOURS = {
@@ -32,7 +32,7 @@ COLOURS = {
     "no_orthogonality": fig.GREEN,
     "no_nesting": fig.ORANGE,
     "pca": fig.RED,
-    "pca_completed": fig.RED,
+    "pca_completed": fig.DARK_RED,
 }
 
 

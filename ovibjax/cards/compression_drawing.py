@@ -30,7 +30,7 @@ COLOURS = {
     "vib": fig.SKY,
     "fixed": fig.ORANGE,
     "pca": fig.RED,
-    "pca_completed": "#8B2500",
+    "pca_completed": fig.DARK_RED,
     "raw": fig.GREY,
 }
 CODEC_COLOURS = {"jpeg": fig.GREEN, "webp": fig.PURPLE, "h264": "#8C6D31", "h265": "#222222"}
@@ -143,7 +143,7 @@ def _draw_frames(ax: Axes, results: Results) -> None:
             continue
         index = 0 if k is None else int(np.flatnonzero(prefixes_of(method) == k)[0])
         errors = np.concatenate([judged.test_error_m[index] for judged in results.judged[method]])
-        groups.append((label, COLOURS[method.split("_")[0]], errors))
+        groups.append((label, COLOURS["fixed" if method.startswith("fixed_") else method], errors))
     fig.error_boxes(ax, groups)
     ax.set(xlabel="error per test frame (m)")
     fig.title(ax, "c", "errors per frame")

@@ -7,7 +7,6 @@ with `ovib`'s localizer.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ovibjax.cards.recipe_study import changed
 from ovibjax.edge.judging import Judged, Trained, judge_prefixes, judge_raw
 from ovibjax.encoder.loss import GAMMA, Hypers, make_hypers
 from ovibjax.encoder.model import Architecture, Params
@@ -81,7 +81,7 @@ def train_config(method: str, data: MemberData, steps: int | None, precision: st
     """Static choices of a trained method; all are trained alike."""
     static = TrainConfig(arch=architecture_of(data), steps=steps, precision=precision)
     if method == "pca_completed":
-        return replace(static, arch=replace(static.arch, encoder="principal"))
+        return changed(method, static)
     return fixed_rate(static, int(method.removeprefix("fixed_"))) if method.startswith("fixed_") else static
 
 

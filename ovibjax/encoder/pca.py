@@ -48,8 +48,3 @@ def pca_decode(pca: PCA, coordinates: jax.Array, prefix: jax.Array) -> jax.Array
         [B, D] reconstruction.
     """
     return (coordinates * prefix[None, : pca.components.shape[1]]) @ pca.components.T
-
-
-def pca_reconstruct(pca: PCA, x: jax.Array, prefix: jax.Array) -> jax.Array:
-    """Reconstruction [B, D] of features [B, D] from their first k principal coordinates, see `pca_decode`."""
-    return pca_decode(pca, pca_coordinates(pca, x), prefix)

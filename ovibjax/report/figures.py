@@ -24,6 +24,9 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY, YELLOW, GREY = (
     *("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7F7F7F"),
 )
 
+DARK_RED = "#8B2500"
+"""A variant of what is red."""
+
 _STYLE = {
     "font.size": 7.5,
     "axes.titlesize": 8,

@@ -5,6 +5,7 @@ local devices.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -58,8 +59,38 @@ def run_grid(
     Raises:
         InputError: an unknown policy, shapes that differ, or times out of range.
     """
-    if policy not in POLICIES:
-        raise InputError(f"policy {policy!r} is unknown; it must be one of {', '.join(POLICIES)}")
+    return _share(traces, context, params, _Grid(policy, summary, lanes), (policy,))
+
+
+def run_rules(
+    traces: RequestTrace, rules: tuple[str, ...], params: SchedulerParams, summary: Summarize, context: Any
+) -> dict[str, Any]:
+    """Replay every trace under several rules, in one program that is compiled once for all of them.
+
+    What `run_grid` gives rule by rule, for a few settings: it compiles hardly longer than one rule, and runs slower.
+
+    Args:
+        traces: leaves [R, J].
+        rules: some of `POLICIES`.
+        params: leaves [P] or, where not swept, scalars; P is 1 if none is.
+        summary: as in `run_grid`.
+        context: leaves [R, ...] for the summary.
+
+    Returns:
+        Outputs of `summary` by rule, [R, P, ...]; a rule is replayed once where nothing that is swept concerns it.
+
+    Raises:
+        InputError: as in `run_grid`.
+    """
+    found: dict[str, Any] = _share(traces, context, params, _Rules(rules, summary), rules)
+    return found
+
+
+def _share(traces: RequestTrace, context: Any, params: SchedulerParams, block: Any, policies: tuple[str, ...]) -> Any:
+    """Check the input of a grid, and share its traces among the devices."""
+    for policy in policies:
+        if policy not in POLICIES:
+            raise InputError(f"policy {policy!r} is unknown; it must be one of {', '.join(POLICIES)}")
     check(traces)
     if jnp.ndim(traces.valid) != 2:
         raise InputError(f"traces have shape {jnp.shape(traces.valid)}; stack them to [traces, requests]")
@@ -69,22 +100,15 @@ def run_grid(
     params = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), params)
     # Inside a program that already shares its work among the devices, each has its part.
     shared_already = bool(jax.sharding.get_abstract_mesh().axis_names)
-    devices = 1 if shared_already else len(jax.local_devices())
-    return _run_grid(split_times(traces), context, params, policy, summary, lanes, devices)
+    return _among_devices(
+        split_times(traces), context, params, block, 1 if shared_already else len(jax.local_devices())
+    )
 
 
-@partial(jax.jit, static_argnames=("policy", "summary", "lanes", "devices"))
-def _run_grid(
-    traces: SplitTrace,
-    context: Any,
-    params: SchedulerParams,
-    policy: str,
-    summary: Summarize | None,
-    lanes: int,
-    devices: int,
-) -> Any:
+@partial(jax.jit, static_argnames=("block", "devices"))
+def _among_devices(traces: SplitTrace, context: Any, params: SchedulerParams, block: Any, devices: int) -> Any:
+    """A block of work on all traces, whose outputs have leading axis R, shared among the local devices."""
     n_traces = traces.valid.shape[0]
-    block = partial(_block, policy=policy, summary=summary, lanes=lanes)
     if devices == 1 or n_traces == 1:
         return block(traces, context, params)
     # Whole traces per device; the last one is repeated to fill them up.
@@ -97,80 +121,82 @@ def _run_grid(
     return jax.tree.map(lambda leaf: leaf[:n_traces], split(traces, context, params))
 
 
-def run_rules(
-    traces: RequestTrace, rules: tuple[str, ...], params: SchedulerParams, summary: Summarize, context: Any
-) -> dict[str, Any]:
-    """Replay every trace under several rules, in one program that is compiled once for all of them.
+@dataclass(frozen=True)
+class _Grid:
+    """All settings of some traces under one rule, a chunk of settings after another: [R, P, ...]."""
 
-    What `run_grid` gives rule by rule, for a few settings: it compiles as long as for one rule, and runs slower.
+    policy: str
+    summary: Summarize | None
+    lanes: int
 
-    Args:
-        traces: leaves [R, J].
-        rules: some of `POLICIES`.
-        params: leaves [P] or, where not swept, scalars; P is 1 if none is.
-        summary: as in `run_grid`.
-        context: leaves [R, ...] for the summary.
+    def __call__(self, traces: SplitTrace, context: Any, params: SchedulerParams) -> Any:
+        n_lanes = _settings(params)
+        width = min(self.lanes, n_lanes)
+        chunks = -(-n_lanes // width)
+        # Equal chunks, the last setting repeated: a remainder would be a second program inside the first.
+        fill = jnp.minimum(jnp.arange(chunks * width), n_lanes - 1).reshape(chunks, width)
+        replay = lane_waits if self.policy in SWEPT and width >= _FEW_LANES else _one_by_one
+        axes = jax.tree.map(lambda leaf: 0 if leaf.ndim else None, params)
 
-    Returns:
-        Outputs of `summary` by rule, [R, P, ...]; a rule is replayed once where nothing that is swept concerns it.
-    """
-    settings = max([leaf.shape[0] for leaf in jax.tree.leaves(params) if jnp.ndim(leaf)], default=1)
-    jobs = [(n, p) for n, rule in enumerate(rules) for p in range(settings if _concerned(rule, params) else 1)]
-    which, setting = (jnp.array(column, jnp.int32) for column in zip(*jobs, strict=True))
-    split = split_times(traces)
+        def one_chunk(number: jax.Array) -> Any:
+            row, index = number // chunks, fill[number % chunks]
+            trace, about = jax.tree.map(lambda leaf: leaf[row], (traces, context))
+            chosen = _chosen(params, index)
+            wait_ms = replay(sort_requests(trace), chosen, self.policy, width)
+            return wait_ms if self.summary is None else jax.vmap(self.summary, (None, 0, axes))(about, wait_ms, chosen)
 
-    def one(item: tuple[jax.Array, jax.Array]) -> Any:
-        row, job = item
-        trace, about = jax.tree.map(lambda leaf: leaf[row], (split, context))
-        chosen: SchedulerParams = jax.tree.map(lambda leaf: leaf[setting[job]] if jnp.ndim(leaf) else leaf, params)
-        requests = sort_requests(trace)
-        return summary(about, to_trace_order(requests, served_by(requests, rules, which[job], chosen)), chosen)
-
-    n_traces = split.valid.shape[0]
-    rows, numbers = (grid.ravel() for grid in jnp.meshgrid(jnp.arange(n_traces), jnp.arange(len(jobs)), indexing="ij"))
-    found = jax.tree.map(
-        lambda leaf: leaf.reshape(n_traces, len(jobs), *leaf.shape[1:]), jax.lax.map(one, (rows, numbers))
-    )
-    return {
-        rule: jax.tree.map(lambda leaf, n=n, rule=rule: leaf[:, _jobs_of(jobs, n, settings)], found)
-        for n, rule in enumerate(rules)
-    }
+        n_traces = traces.valid.shape[0]
+        results = jax.lax.map(one_chunk, jnp.arange(n_traces * chunks, dtype=jnp.int32))
+        return jax.tree.map(lambda leaf: leaf.reshape(n_traces, chunks * width, *leaf.shape[2:])[:, :n_lanes], results)
 
 
-def _concerned(rule: str, params: SchedulerParams) -> bool:
+@dataclass(frozen=True)
+class _Rules:
+    """A few settings of some traces under several rules, one replay after another: by rule, [R, P, ...]."""
+
+    rules: tuple[str, ...]
+    summary: Summarize
+
+    def __call__(self, traces: SplitTrace, context: Any, params: SchedulerParams) -> dict[str, Any]:
+        settings = _settings(params)
+        replays = [
+            (n, p) for n, rule in enumerate(self.rules) for p in range(settings if _concerns(rule, params) else 1)
+        ]
+        which, setting = (jnp.array(column, jnp.int32) for column in zip(*replays, strict=True))
+
+        def one(number: jax.Array) -> Any:
+            row, replay = number // len(replays), number % len(replays)
+            trace, about = jax.tree.map(lambda leaf: leaf[row], (traces, context))
+            requests, chosen = sort_requests(trace), _chosen(params, setting[replay])
+            start = served_by(requests, self.rules, which[replay], chosen)
+            return self.summary(about, to_trace_order(requests, start), chosen)
+
+        n_traces = traces.valid.shape[0]
+        results = jax.lax.map(one, jnp.arange(n_traces * len(replays), dtype=jnp.int32))
+        results = jax.tree.map(lambda leaf: leaf.reshape(n_traces, len(replays), *leaf.shape[1:]), results)
+        found = {}
+        for n, rule in enumerate(self.rules):
+            # The only replay of a rule that nothing concerns stands for all settings.
+            own = np.resize([i for i, (number, _) in enumerate(replays) if number == n], settings)
+            found[rule] = jax.tree.map(lambda leaf, own=own: leaf[:, own], results)
+        return found
+
+
+def _settings(params: SchedulerParams) -> int:
+    """Settings P of parameters, 1 if none is swept."""
+    return max([leaf.shape[0] for leaf in jax.tree.leaves(params) if leaf.ndim], default=1)
+
+
+def _chosen(params: SchedulerParams, index: jax.Array) -> SchedulerParams:
+    """Settings by their numbers; what is not swept stays as it is."""
+    chosen: SchedulerParams = jax.tree.map(lambda leaf: leaf[index] if leaf.ndim else leaf, params)
+    return chosen
+
+
+def _concerns(rule: str, params: SchedulerParams) -> bool:
     """Whether a replay or its judgement depends on a number that is swept."""
     used = {"base_dpp": params.V, "voi_lyapunov": params.weights}.get(rule)
-    return any(jnp.ndim(leaf) for leaf in jax.tree.leaves((used, params.value)))
-
-
-def _jobs_of(jobs: list[tuple[int, int]], rule: int, settings: int) -> np.ndarray:
-    """[P] jobs of a rule; its only one repeated where it has no parameters."""
-    own = np.flatnonzero([number == rule for number, _ in jobs])
-    return np.resize(own, settings)
-
-
-def _block(
-    traces: SplitTrace, context: Any, params: SchedulerParams, policy: str, summary: Summarize | None, lanes: int
-) -> Any:
-    """All settings of some traces, a chunk of settings after another."""
-    n_lanes = max([leaf.shape[0] for leaf in jax.tree.leaves(params) if leaf.ndim], default=1)
-    width = min(lanes, n_lanes)
-    chunks = -(-n_lanes // width)
-    # Equal chunks, the last setting repeated: a remainder would be a second program inside the first.
-    fill = jnp.minimum(jnp.arange(chunks * width), n_lanes - 1).reshape(chunks, width)
-    replay = lane_waits if policy in SWEPT and width >= _FEW_LANES else _one_by_one
-    axes = jax.tree.map(lambda leaf: 0 if leaf.ndim else None, params)
-
-    def one_chunk(number: jax.Array) -> Any:
-        row, index = number // chunks, fill[number % chunks]
-        trace, about = jax.tree.map(lambda leaf: leaf[row], (traces, context))
-        chosen: SchedulerParams = jax.tree.map(lambda leaf: leaf[index] if leaf.ndim else leaf, params)
-        wait_ms = replay(sort_requests(trace), chosen, policy, width)
-        return wait_ms if summary is None else jax.vmap(summary, (None, 0, axes))(about, wait_ms, chosen)
-
-    n_traces = traces.valid.shape[0]
-    results = jax.lax.map(one_chunk, jnp.arange(n_traces * chunks, dtype=jnp.int32))
-    return jax.tree.map(lambda leaf: leaf.reshape(n_traces, chunks * width, *leaf.shape[2:])[:, :n_lanes], results)
+    return any(leaf.ndim for leaf in jax.tree.leaves((used, params.value)))
 
 
 def _one_by_one(requests: Requests, params: SchedulerParams, policy: str, n_lanes: int) -> jax.Array:

@@ -20,7 +20,7 @@ ARCH = Architecture(n_views=4, view_dim=6, latent=8, hidden=16, last_hidden=12, 
 judge_prefixes = jax.jit(judging.judge_prefixes, static_argnames=("arch", "recode"))
 judge_raw = jax.jit(judging.judge_raw, static_argnames="arch")
 encode, decode, locate = (jax.jit(f, static_argnames="arch") for f in (model.encode, model.decode, model.locate))
-fit_pca, pca_reconstruct = jax.jit(pca.fit_pca, static_argnums=1), jax.jit(pca.pca_reconstruct)
+fit_pca, pca_decode = jax.jit(pca.fit_pca, static_argnums=1), jax.jit(pca.pca_decode)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_prefixes_match_the_protocol(params, member, mode, linear) -> None:
 
         def codec(x, keep=keep):
             if linear_code is not None:
-                return pca_reconstruct(linear_code, x, keep)
+                return pca_decode(linear_code, pca.pca_coordinates(linear_code, x), keep)
             return decode(params, encode(params, x, ARCH)[0], keep, ARCH)
 
         error = oracle(params, member, mask, codec, recode=linear)

@@ -56,10 +56,9 @@ def cull(rows: jax.Array, spheres: jax.Array, origin: jax.Array, axes: jax.Array
 
 def groups(rows: jax.Array, size: int) -> list[jax.Array]:
     """Primitives [V, B, A] in groups of one size, so that pictures with more of them need no programs of their own."""
-    missing = -rows.shape[1] % size
-    if rows.shape[1] < size:
+    if rows.shape[1] <= size:
         return [rows]
-    rows = jnp.pad(rows, ((0, 0), (0, missing), (0, 0)), constant_values=FAR_M) if missing else rows
+    rows = jnp.pad(rows, ((0, 0), (0, -rows.shape[1] % size), (0, 0)), constant_values=FAR_M)
     return [rows[:, start : start + size] for start in range(0, rows.shape[1], size)]
 
 
