@@ -32,19 +32,19 @@ def run(job: Job) -> None:
 
 def upload_percent(found: ControlStudy, context: int, mode: str | None = None) -> np.ndarray:
     """[seeds] per cent of a context's slots with an upload (of one mode); NaN where the route has no such slot."""
-    run, here = found.runs["voi"], found.routes.context == context
+    run, here = found.runs["voi"], found.route.context == context
     sent = run.sent & here
     if mode is not None:
         names = np.array(found.scene.actions.modes)
         sent = sent & (names[run.action // len(found.scene.actions.prefixes)] == mode)
-    slots = here.sum(axis=1)
-    return np.where(slots > 0, 100.0 * sent.sum(axis=1) / np.maximum(slots, 1), np.nan)
+    slots = here.sum()
+    return np.where(slots > 0, 100.0 * sent.sum(axis=1) / max(slots, 1), np.nan)
 
 
 def at_requests(found: ControlStudy, context: int, field: str) -> np.ndarray:
     """[seeds] median of a field over VOI-Control's requests in a context; seeds without one are left out."""
     run = found.runs["voi"]
-    chosen = run.sent & (found.routes.context == context)
+    chosen = run.sent & (found.route.context == context)
     values = getattr(run, field)
     return np.array([np.median(values[i][chosen[i]]) for i in range(len(values)) if chosen[i].any()], np.float64)
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.cards.scheduling_study import PAPER_V, VS, metric_of, paper_cases
-from ovibjax.control.policy_study import seeds_to_keys
+from ovibjax.control.protocols import seeds_to_keys
 from ovibjax.runtime.progress import console
 from ovibjax.scheduling.clients import default_trace_params
 from ovibjax.scheduling.congestion import LEVELS, Case, compare

@@ -1,29 +1,37 @@
 """How request policies are written and drawn: names, colours, the paper's errors, and panels of errors by policy."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.cards.control_results import reductions
-from ovibjax.cards.control_study import BUDGETS_KB, DRIFT_SCALES, ControlStudy
+from ovibjax.cards.control_study import FACTORS, TRANSFER, ControlStudy, Point
+from ovibjax.control.controller import PAPER_BUDGET_KB
 from ovibjax.report import figures as fig
 from ovibjax.report import panels
-from ovibjax.report.claims import Interval, interval
+from ovibjax.report.claims import interval
 
 NAMES = {
     "oracle_action": "Oracle action",
     "voi": "VOI-Control",
+    "voi_gap": "VOI with gap (ours)",
     "uncertainty": "Uncertainty",
     "budgeted_periodic": "Budgeted periodic",
     "periodic": "Periodic",
     "fixed_front": "Fixed-front",
     "random": "Random",
 }
-"""Policies as the paper writes them."""
+"""Policies as the paper writes them, and a variant of ours."""
+
+MODEL_NAMES = {"rate": "rate", "integrated": "integrated", "random_walk": "random walk"}
+MODEL_COLOURS = {"rate": fig.BLUE, "integrated": fig.GREEN, "random_walk": fig.ORANGE}
+"""Drift models, see `control.drift`."""
 
 COLOURS = {
     "voi": fig.BLUE,
+    "voi_gap": fig.SKY,
     "oracle_action": fig.GREY,
     "uncertainty": fig.GREEN,
     "budgeted_periodic": fig.ORANGE,
@@ -85,28 +93,43 @@ def draw_mean_and_p95(ax: Axes, found: ControlStudy) -> None:
     ax.legend(ax.get_legend_handles_labels()[0], ["paper (mean, p95)"], loc="upper right")
 
 
-def draw_reductions(ax: Axes, found: ControlStudy) -> None:
-    """Reductions of the mean error by drift and budget: shaded and on top against budgeted periodic, below it against
-    the fixed uncertainty rule; in brackets where the interval reaches zero.
+def draw_reductions(ax: Axes, found: ControlStudy, metric: str, paper_percent: float) -> None:
+    """Reductions of an error against budgeted periodic by drift model, as the drift rates or the budget are scaled.
+
+    Args:
+        ax: the panel.
+        found: the study.
+        metric: `mean_m` or `p95_m`.
+        paper_percent: the paper's reduction, on its own route.
     """
-    table = np.full((len(DRIFT_SCALES), len(BUDGETS_KB)), np.nan)
-    texts = [[""] * len(BUDGETS_KB) for _ in DRIFT_SCALES]
-    for i, (scale, budget) in enumerate(zip(found.settings.drift_scale, found.settings.budget_kb, strict=True)):
-        row, column = _nearest(DRIFT_SCALES, scale), _nearest(BUDGETS_KB, budget)
-        spans = [reductions(found, "mean_m", rival, i)[1] for rival in ("budgeted_periodic", "uncertainty")]
-        table[row, column] = spans[0].mean
-        texts[row][column] = "\n".join(_signed(span) for span in spans)
-    limit = max(10.0, float(np.nanmax(np.abs(table))))
-    panels.heat(ax, table, texts, "PuOr", (-limit, limit))
-    ax.set_xticks(range(len(BUDGETS_KB)), [f"{budget:g}" for budget in BUDGETS_KB])
-    ax.set_yticks(range(len(DRIFT_SCALES)), [f"{scale:g}x" for scale in DRIFT_SCALES])
-    ax.set(xlabel="budget per route (KB)", ylabel="drift rate")
+    for shift, (model, colour) in enumerate(MODEL_COLOURS.items()):
+        for style, scaled in (("-", "drift"), (":", "budget")):
+            points = [
+                Point(model, drift_scale=f) if scaled == "drift" else Point(model, budget_kb=f * PAPER_BUDGET_KB)
+                for f in FACTORS
+            ]
+            spans = [reductions(found, metric, "budgeted_periodic", p)[1] for p in points if p in found.points]
+            x = np.array([f for f, p in zip(FACTORS, points, strict=True) if p in found.points])
+            mean, cap = [span.mean for span in spans], [span.cap for span in spans]
+            look: dict[str, Any] = {"color": colour, "ls": style, "marker": "o", "ms": 2.5, "capsize": 1.5, "lw": 1.1}
+            ax.errorbar(x * 1.03 ** (shift - 1), mean, yerr=cap, label=f"{MODEL_NAMES[model]}, {scaled}", **look)
+    ax.axhline(0.0, color="black", lw=0.6)
+    ax.axhline(paper_percent, color="black", lw=1.0, ls="--")
+    ax.annotate("paper", (FACTORS[-1], paper_percent), (0, 2), textcoords="offset points", ha="right")
+    ax.set_xscale("log", base=2)
+    ax.set_xticks(FACTORS, [f"{f:g}x" for f in FACTORS])
+    ax.set(xlabel="drift rates, or budget", ylabel="reduction (%)")
 
 
-def _nearest(values: tuple[float, ...], value: float) -> int:
-    return int(np.argmin(np.abs(np.array(values) - value)))
-
-
-def _signed(span: Interval) -> str:
-    text = f"{span.mean:+.0f}"
-    return text if span.low > 0 or span.high < 0 else f"({text})"
+def draw_transfer(ax: Axes, found: ControlStudy) -> None:
+    """Mean error of three policies on each route that prices were not tuned on."""
+    routes = len(found.scene.held_out)
+    series = []
+    for policy in ("voi", "uncertainty", "budgeted_periodic"):
+        error = found.of(policy, "mean_m", TRANSFER)
+        spans = [interval(error[route::routes]) for route in range(routes)]
+        series.append((NAMES[policy], COLOURS[policy], spans))
+    panels.columns(ax, [f"route {route + 1}" for route in range(routes)], series)
+    top = max(span.mean + span.cap for _, _, spans in series for span in spans)
+    ax.set(ylabel="mean route error (m)", ylim=(0, 1.35 * top))
+    ax.legend(loc="upper center", ncols=3, columnspacing=0.8, handlelength=1.0)

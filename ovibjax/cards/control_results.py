@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ovibjax.cards.control_study import ControlStudy, control_study, drives_of
+from ovibjax.cards.control_study import PAPER, ControlStudy, Point, control_study, drives_of
 from ovibjax.cards.job import Job
 from ovibjax.control.policies import POLICIES
 from ovibjax.control.route_replay import RouteResult
@@ -43,20 +43,23 @@ def representative_replay(found: ControlStudy) -> RouteResult:
     return jax.tree.map(lambda field: field[seed], found.runs["voi"])
 
 
-def reductions(found: ControlStudy, metric: str, rival: str, setting: int = 0) -> tuple[Interval, Interval]:
-    """What VOI-Control takes off a rival's error, on paired held-out seeds.
+def reductions(
+    found: ControlStudy, metric: str, rival: str, point: Point = PAPER, policy: str = "voi"
+) -> tuple[Interval, Interval]:
+    """What VOI-Control, or another policy, takes off a rival's error, on paired held-out seeds.
 
     Args:
         found: the study.
         metric: `mean_m` or `p95_m`.
         rival: another policy.
-        setting: position among the settings of drift and budget.
+        point: the setting.
+        policy: the policy.
 
     Returns:
-        Paired difference rival minus VOI-Control in metres, and relative to the rival's mean in per cent.
+        Paired difference rival minus policy in metres, and relative to the rival's mean in per cent.
     """
-    other = found.of(rival, metric, setting)
-    difference = other - found.of("voi", metric, setting)
+    other = found.of(rival, metric, point)
+    difference = other - found.of(policy, metric, point)
     return interval(difference), interval(100.0 * difference / other.mean())
 
 

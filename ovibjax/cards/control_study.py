@@ -3,16 +3,18 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.controller import PAPER_BUDGET_KB, Controller
+from ovibjax.control.drift import DRIFT_MODELS
 from ovibjax.control.drives import DRIVES, embedded_drives, halves
 from ovibjax.control.environment import PAPER_SLOTS, Environment, Route, make_environment
-from ovibjax.control.policy_study import Outcome, Setting, StudySize, routes_for_seeds, run_study
+from ovibjax.control.policy_study import Outcome, Setting, StudySize
+from ovibjax.control.protocols import PROTOCOLS, paper_route, run_study
 from ovibjax.control.route_replay import RouteResult
 from ovibjax.control.scene import Scene, make_scene
 from ovibjax.encoder.checkpoint import CheckpointConfig
@@ -21,11 +23,38 @@ from ovibjax.features.frames import FeatureSet, content_hash
 PAPER_PROFILE_KB_PER_S = 8.0
 """Link profile of request control, the middle of the paper's 4 to 12 KB/s (paper, Section "Experimental Setup")."""
 
-DRIFT_SCALES = (0.5, 1.0, 2.0)
-"""Factors on the drift rates."""
+FACTORS = (0.5, 1.0, 2.0)
+"""Factors on the drift rates, and on the budget, of the sensitivity study."""
 
-BUDGETS_KB = (0.5 * PAPER_BUDGET_KB, PAPER_BUDGET_KB, 2.0 * PAPER_BUDGET_KB)
-"""Payload per route; with `DRIFT_SCALES` the settings of the sensitivity study."""
+
+class Point(NamedTuple):
+    """One setting of the study.
+
+    Attributes:
+        model: a key of `drift.DRIFT_MODELS`.
+        drift_scale: factor on every drift rate.
+        budget_kb: payload per route, KB.
+        protocol: one of `protocols.PROTOCOLS`.
+    """
+
+    model: str = "rate"
+    drift_scale: float = 1.0
+    budget_kb: float = PAPER_BUDGET_KB
+    protocol: str = "paper"
+
+
+PAPER, TRANSFER = Point(), Point(protocol="transfer")
+"""The paper's setting, and the same with routes that prices were not tuned on."""
+
+SENSITIVITY = tuple(
+    dict.fromkeys(
+        point
+        for model in DRIFT_MODELS
+        for factor in FACTORS
+        for point in (Point(model, factor), Point(model, budget_kb=factor * PAPER_BUDGET_KB))
+    )
+)
+"""Every drift model with its rates or the budget scaled."""
 
 
 @dataclass(frozen=True)
@@ -60,27 +89,28 @@ class ControlStudy:
 
     Attributes:
         scene: routes, residuals and predictor.
-        settings: [settings] drift, budget and link; the first is the paper's.
+        points: settings; the first two are `PAPER` and `TRANSFER`.
         outcome: search and held-out summaries, leading axis [settings].
         env: the environment of the first setting.
         control: the chosen configuration at the first setting.
-        routes: [seeds, T, ...] held-out route of each seed.
+        route: [T, ...] the held-out route of the first setting.
         runs: histories [seeds, T] of the policies in `policy_study.SHOWN` at the first setting.
         seeds: held-out seeds.
     """
 
     scene: Scene
-    settings: Setting
+    points: tuple[Point, ...]
     outcome: Outcome
     env: Environment
     control: Controller
-    routes: Route
+    route: Route
     runs: dict[str, RouteResult]
     seeds: list[int]
 
-    def of(self, policy: str, metric: str, setting: int = 0) -> np.ndarray:
+    def of(self, policy: str, metric: str, point: Point = PAPER) -> np.ndarray:
         """[seeds] a held-out metric of a policy."""
-        return np.asarray(getattr(self.outcome.held_out[policy], metric))[setting].astype(np.float64)
+        values = np.asarray(getattr(self.outcome.held_out[policy], metric))
+        return values[self.points.index(point)].astype(np.float64)
 
 
 def drives_of(
@@ -135,16 +165,17 @@ def control_study(
 
 
 def _make(preset: ControlPreset, first_seed: int, scene: Scene) -> ControlStudy:
-    points = [(1.0, PAPER_BUDGET_KB)]
-    if preset.sensitivity:
-        points += [(d, b) for d in DRIFT_SCALES for b in BUDGETS_KB if (d, b) != points[0]]
-    scales, budgets = zip(*points, strict=True)
-    profile = [PAPER_PROFILE_KB_PER_S] * len(points)
-    settings = Setting(*(jnp.asarray(column, jnp.float32) for column in (scales, budgets, profile)))
+    points = tuple(dict.fromkeys((PAPER, TRANSFER, *(SENSITIVITY if preset.sensitivity else ()))))
+    envs = [make_environment(scene.context_share, PAPER_PROFILE_KB_PER_S, p.drift_scale, p.model) for p in points]
+    settings = Setting(
+        drift=jax.tree.map(lambda *leaves: jnp.stack(leaves), *(env.drift for env in envs)),
+        budget_kb=jnp.array([p.budget_kb for p in points], jnp.float32),
+        mean_kb_per_s=jnp.stack([env.mean_kb_per_s for env in envs]),
+        protocol=jnp.array([PROTOCOLS.index(p.protocol) for p in points], jnp.int32),
+    )
     outcome = jax.device_get(run_study(scene, settings, preset.size, first_seed))
     seeds = [first_seed + i for i in range(preset.size.held_out_seeds)]
-    env = make_environment(scene.context_share, PAPER_PROFILE_KB_PER_S)
     control = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), outcome.control)
     runs = jax.tree.map(lambda leaf: leaf[0], outcome.histories)
-    routes = jax.device_get(routes_for_seeds(scene, seeds))
-    return ControlStudy(scene, jax.device_get(settings), outcome, env, control, routes, runs, seeds)
+    route = scene.held_out[paper_route(scene)]
+    return ControlStudy(scene, points, outcome, envs[0], control, route, runs, seeds)

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.cards.control_results import representative, representative_replay, study
+from ovibjax.cards.control_results import representative_replay, study
 from ovibjax.cards.job import Job
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case
 from ovibjax.scheduling.events import Events, recorded_events
@@ -25,9 +25,8 @@ PAIRED = "paired 95 % interval above zero"
 def events_of(job: Job) -> Events:
     """VOI-Control's requests on the held-out route of the representative seed; what every client replays."""
     found = study(job)
-    context = found.routes.context[representative(found)]
-    drift = np.asarray(found.env.drift_m2_per_s)
-    return recorded_events(representative_replay(found), context, drift, found.scene.actions)
+    rates = np.asarray(found.env.drift.rate_m_per_s)
+    return recorded_events(representative_replay(found), found.route.context, rates, found.scene.actions)
 
 
 def paper_cases(*levels: str) -> Case:

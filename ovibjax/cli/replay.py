@@ -3,7 +3,7 @@
 import difflib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from ovibjax.cli.options import own_frames
 from ovibjax.errors import InputError
@@ -25,8 +25,8 @@ class Replay:
     """
 
     policy: tuple[str, ...] = ("voi",)
-    """voi, periodic, budgeted_periodic, fixed_front, random, uncertainty, oracle_action; several are compared on the
-    same drift, channel and queue."""
+    """voi, voi_gap, periodic, budgeted_periodic, fixed_front, random, uncertainty, oracle_action; several are compared
+    on the same drift, channel and queue."""
     profile: float = 8.0
     """Mean uplink throughput in KB/s, with block fading around it; the paper's profiles are 4, 8 and 12."""
     seed: int = 100
@@ -42,14 +42,18 @@ class Replay:
     """Payload allowed over the route, KB."""
     drift: float = 1.0
     """Factor on the drift rates of the odometry."""
+    drift_model: Literal["rate", "integrated", "random_walk"] = "rate"
+    """How the error grows between corrections: linearly, faster, or as a random walk."""
+    correction: Literal["replace", "kalman"] = "replace"
+    """What the edge's position does: it becomes the estimate, or is fused with it."""
     lambda_b: float | None = None
     """Price of a second of transmission, m/s."""
     lambda_d: float | None = None
     """Price of a second of queueing, service and return, m/s."""
     threshold: float | None = None
-    """Net VOI above which VOI-Control asks, m."""
+    """Net VOI above which the variant voi_gap asks, m."""
     gap: float | None = None
-    """Shortest time between two requests of VOI-Control, s."""
+    """Shortest time between two requests of voi_gap, s."""
     plot: bool = False
     """Draw the timeline of the first policy."""
     out: Path = Path("replay.png")
@@ -82,9 +86,12 @@ class Replay:
         given = {"bandwidth_m_per_s": self.lambda_b, "delay_m_per_s": self.lambda_d}
         given |= {"threshold_m": self.threshold, "min_gap_s": self.gap}
         control = make_controller(
-            scene.actions, budget_kb=self.budget, **{name: v for name, v in given.items() if v is not None}
+            scene.actions,
+            budget_kb=self.budget,
+            correction=self.correction,
+            **{name: v for name, v in given.items() if v is not None},
         )
-        env = make_environment(scene.context_share, self.profile, self.drift)
+        env = make_environment(scene.context_share, self.profile, self.drift, self.drift_model)
         params = ControlParams(env, control)
         draws = draw(jax.random.key(self.seed), route, env, scene.actions)
         if measured is not None:

@@ -1,14 +1,16 @@
 """What a client believes of its position, and what is true (paper, "Local Belief and Predicted Edge Gain").
 
-The client dead-reckons; its error is a random walk whose rate depends on the route context and whose larger part lies
-along the direction of travel. The covariance follows the same model, so that the local risk is calibrated: the mean
-squared error equals tr P. An edge correction is a position measurement whose covariance is the predicted residual.
+The client dead-reckons, and its error grows as a model of `drift` has it. The covariance follows the same model, so
+that the local risk is calibrated: the mean squared error equals tr P. A position from the edge becomes the estimate,
+with the residual's mean square as its covariance, or is fused with it as a Kalman filter does.
 """
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+
+from ovibjax.control.drift import Drift, Odometry, added_m
 
 
 class Belief(NamedTuple):
@@ -20,6 +22,9 @@ class Belief(NamedTuple):
         cov_xx_m2: covariance that the client holds, element xx.
         cov_xy_m2: element xy.
         cov_yy_m2: element yy.
+        accumulated_m: the drift rate added up since the last correction.
+        toward_x: unit direction in which the error grows, x; for models that have one.
+        toward_y: the same, y.
     """
 
     error_x_m: jax.Array
@@ -27,50 +32,73 @@ class Belief(NamedTuple):
     cov_xx_m2: jax.Array
     cov_xy_m2: jax.Array
     cov_yy_m2: jax.Array
+    accumulated_m: jax.Array
+    toward_x: jax.Array
+    toward_y: jax.Array
 
 
-def initial(risk_m: jax.Array, normal: jax.Array) -> Belief:
+class Fix(NamedTuple):
+    """A position from the edge, and where drift turns after it.
+
+    Attributes:
+        residual_x_m: realised error of the position, x.
+        residual_y_m: the same, y.
+        spread_m: root mean square of such residuals on training routes.
+        toward_x: unit direction of the drift that follows, x.
+        toward_y: the same, y.
+    """
+
+    residual_x_m: jax.Array
+    residual_y_m: jax.Array
+    spread_m: jax.Array
+    toward_x: jax.Array
+    toward_y: jax.Array
+
+
+def initial(risk_m: jax.Array, normal: jax.Array, toward: jax.Array) -> Belief:
     """A belief of a given risk, and an error drawn from it.
 
     Args:
         risk_m: local risk sqrt(tr P).
         normal: [2] standard normal numbers.
+        toward: [2] unit direction of the drift that follows.
 
     Returns:
         The belief, isotropic.
     """
     variance = 0.5 * risk_m**2
     error = jnp.sqrt(variance) * normal
-    return Belief(error[0], error[1], variance, jnp.zeros_like(variance), variance)
+    zero = jnp.zeros_like(variance)
+    return Belief(error[0], error[1], variance, zero, variance, zero, toward[0], toward[1])
 
 
-def drift(variance_m2: jax.Array, along_share: jax.Array, yaw_rad: jax.Array, normal: jax.Array) -> Belief:
-    """Increment of error and covariance over one slot of odometry.
+def propagate(belief: Belief, odometry: Odometry, drift: Drift) -> Belief:
+    """A belief after one slot of odometry.
 
     Args:
-        variance_m2: [...] growth of tr P over the slot.
-        along_share: share of it along the heading.
-        yaw_rad: [...] heading.
-        normal: [..., 2] standard normal numbers, along and across.
+        belief: before it.
+        odometry: what drift brings in the slot, fields [...].
+        drift: the model.
 
     Returns:
-        Increments, to be added with `propagate`; each field [...].
+        The belief after it.
     """
-    along, across = variance_m2 * along_share, variance_m2 * (1.0 - along_share)
-    cos, sin = jnp.cos(yaw_rad), jnp.sin(yaw_rad)
-    ahead, side = jnp.sqrt(along) * normal[..., 0], jnp.sqrt(across) * normal[..., 1]
-    return Belief(
-        error_x_m=cos * ahead - sin * side,
-        error_y_m=sin * ahead + cos * side,
-        cov_xx_m2=cos**2 * along + sin**2 * across,
-        cov_xy_m2=cos * sin * (along - across),
-        cov_yy_m2=sin**2 * along + cos**2 * across,
+    accumulated_m = belief.accumulated_m + odometry.advance_m
+    before_m, after_m = added_m(belief.accumulated_m, drift), added_m(accumulated_m, drift)
+    growth_m2 = jnp.maximum(after_m**2 - before_m**2, 0.0)  # a power need not be monotone to the last bit
+    wander_m, straight_m = jnp.sqrt(growth_m2), after_m - before_m
+
+    def moved(walk: jax.Array, toward: jax.Array) -> jax.Array:
+        return jnp.where(drift.walks, wander_m * walk, straight_m * toward)
+
+    return belief._replace(
+        error_x_m=belief.error_x_m + moved(odometry.walk_x, belief.toward_x),
+        error_y_m=belief.error_y_m + moved(odometry.walk_y, belief.toward_y),
+        cov_xx_m2=belief.cov_xx_m2 + growth_m2 * odometry.cov_xx,
+        cov_xy_m2=belief.cov_xy_m2 + growth_m2 * odometry.cov_xy,
+        cov_yy_m2=belief.cov_yy_m2 + growth_m2 * (1.0 - odometry.cov_xx),
+        accumulated_m=accumulated_m,
     )
-
-
-def propagate(belief: Belief, increment: Belief) -> Belief:
-    """Belief after an increment of `drift`."""
-    return jax.tree.map(jnp.add, belief, increment)
 
 
 def local_risk_m(belief: Belief) -> jax.Array:
@@ -83,44 +111,48 @@ def error_m(belief: Belief) -> jax.Array:
     return jnp.sqrt(belief.error_x_m**2 + belief.error_y_m**2)
 
 
-def correct(
-    belief: Belief, residual_x_m: jax.Array, residual_y_m: jax.Array, predicted_m: jax.Array, gate_sigma: jax.Array
-) -> Belief:
-    """Fuse a position from the edge: Kalman update with measurement covariance (predicted^2 / 2) I.
-
-    A measurement whose innovation lies outside the gate is discarded: retrieval that fell for a look-alike is tens of
-    metres off, and a filter that knows its own covariance sees that without knowing the truth.
+def correct(belief: Belief, fix: Fix, replaces: jax.Array, gate_sigma: jax.Array) -> Belief:
+    """Use a position from the edge: in place of the estimate, or by a Kalman update with covariance (spread^2 / 2) I.
 
     Args:
         belief: before the correction.
-        residual_x_m: realised error of the edge's position, x.
-        residual_y_m: the same, y.
-        predicted_m: predicted residual g_psi; the root of the measurement covariance's trace.
-        gate_sigma: Mahalanobis distance of the innovation above which the measurement is discarded; infinity
-            accepts everything.
+        fix: the position.
+        replaces: whether it becomes the estimate; otherwise it is fused.
+        gate_sigma: Mahalanobis distance of the innovation above which the position is discarded; infinity accepts
+            everything.
 
     Returns:
-        The belief after it.
+        The belief after it; drift starts anew, in the fix's direction.
     """
-    noise = 0.5 * predicted_m**2 + 1e-6  # a predicted residual of zero is a measurement within a millimetre
+    noise = 0.5 * fix.spread_m**2 + 1e-6  # a spread of zero is a measurement within a millimetre
     s_xx, s_xy, s_yy = belief.cov_xx_m2 + noise, belief.cov_xy_m2, belief.cov_yy_m2 + noise
     inverse = 1.0 / (s_xx * s_yy - s_xy**2)
     # Measurement minus estimate: the truth drops out.
-    dx, dy = residual_x_m - belief.error_x_m, residual_y_m - belief.error_y_m
+    dx, dy = fix.residual_x_m - belief.error_x_m, fix.residual_y_m - belief.error_y_m
     wx, wy = (s_yy * dx - s_xy * dy) * inverse, (s_xx * dy - s_xy * dx) * inverse
     accept = dx * wx + dy * wy <= gate_sigma**2
     # With isotropic noise R = n I the updated covariance P - P (P + R)^-1 P equals n P (P + R)^-1, which has no
     # difference of nearly equal numbers even where the noise is a million times the covariance.
     determinant = belief.cov_xx_m2 * belief.cov_yy_m2 - s_xy**2
     scale = noise * inverse
-    updated = Belief(
+    fused = Belief(
         error_x_m=belief.error_x_m + belief.cov_xx_m2 * wx + belief.cov_xy_m2 * wy,
         error_y_m=belief.error_y_m + belief.cov_xy_m2 * wx + belief.cov_yy_m2 * wy,
         cov_xx_m2=scale * (determinant + noise * belief.cov_xx_m2),
         cov_xy_m2=scale * noise * s_xy,
         cov_yy_m2=scale * (determinant + noise * belief.cov_yy_m2),
+        accumulated_m=jnp.zeros_like(belief.accumulated_m),
+        toward_x=fix.toward_x,
+        toward_y=fix.toward_y,
     )
-    return select(accept, updated, belief)
+    taken = fused._replace(
+        error_x_m=fix.residual_x_m,
+        error_y_m=fix.residual_y_m,
+        cov_xx_m2=noise,
+        cov_xy_m2=jnp.zeros_like(s_xy),
+        cov_yy_m2=noise,
+    )
+    return select(accept, select(replaces, taken, fused), belief)
 
 
 def select(condition: jax.Array, yes: Belief, no: Belief) -> Belief:

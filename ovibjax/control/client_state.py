@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from ovibjax.control.belief import Belief
 from ovibjax.control.controller import Controller
+from ovibjax.control.drift import Odometry
 from ovibjax.control.environment import Draws, Environment
 
 
@@ -50,8 +51,9 @@ class Slot(NamedTuple):
 
     number: jax.Array
     predicted_m: jax.Array
+    spread_m: jax.Array
     residual_m: jax.Array
-    increment: Belief
+    odometry: Odometry
     rate_bps: jax.Array
     delay_s: jax.Array
     latency_s: jax.Array

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from ovibjax.control import belief
 from ovibjax.control.actions import ActionSet
-from ovibjax.control.belief import Belief
+from ovibjax.control.belief import Belief, Fix
 from ovibjax.control.client_state import ControlParams, Slot, SlotInfo, State
 from ovibjax.control.policies import POLICIES, Decision, Observation, chosen
 from ovibjax.control.voi import net_voi
@@ -25,18 +25,16 @@ class Request(NamedTuple):
     Attributes:
         payload_bytes: its size b(a).
         latency_s: time from decision to correction.
-        measured_m: realised error of the edge's position, x and y.
-        predicted_m: predicted residual g_psi.
+        fix: the position that the edge would send back.
         delay_s: predicted queueing, service and return delay.
         energy_j: energy it costs.
-        residual_m: length of `measured_m`.
+        residual_m: realised error of that position.
         voi_m: predicted net VOI.
     """
 
     payload_bytes: jax.Array
     latency_s: jax.Array
-    measured_m: list[jax.Array]
-    predicted_m: jax.Array
+    fix: Fix
     delay_s: jax.Array
     energy_j: jax.Array
     residual_m: jax.Array
@@ -66,8 +64,8 @@ def observe(
         The client after drift and correction, and what it sees.
     """
     control = params.control
-    now = belief.propagate(state.belief, slot.increment)
-    pending = belief.propagate(state.pending, slot.increment)
+    now = belief.propagate(state.belief, slot.odometry, params.env.drift)
+    pending = belief.propagate(state.pending, slot.odometry, params.env.drift)
     state = state._replace(
         belief=belief.select(state.flight == 1, pending, now),
         pending=pending,
@@ -124,14 +122,15 @@ def request_with(
     """
     every = range(len(actions))
     size = chosen([jnp.float32(b) for b in actions.payload_bytes], action)
-    predicted_m, delay_s, energy_j, residual_m, rest_s = (
-        chosen([values[a] for a in every], action)
-        for values in (slot.predicted_m, slot.delay_s, params.control.energy_j, seen.realised_m, slot.latency_s)
+    by_action = (slot.predicted_m, slot.spread_m, slot.delay_s, params.control.energy_j, seen.realised_m)
+    predicted_m, spread_m, delay_s, energy_j, residual_m, rest_s = (
+        chosen([values[a] for a in every], action) for values in (*by_action, slot.latency_s)
     )
-    measured_m = [chosen([slot.residual_m[a, axis] for a in every], action) for axis in (0, 1)]
+    residual_x_m, residual_y_m = (chosen([slot.residual_m[a, axis] for a in every], action) for axis in (0, 1))
+    fix = Fix(residual_x_m, residual_y_m, spread_m, slot.odometry.toward_x, slot.odometry.toward_y)
     value_m = net_voi(risk_m, predicted_m, size, slot.rate_bps, delay_s, energy_j, params.control.prices)
     latency_s = transmit_s(size, slot.rate_bps) + rest_s
-    return Request(size, latency_s, measured_m, predicted_m, delay_s, energy_j, residual_m, value_m)
+    return Request(size, latency_s, fix, delay_s, energy_j, residual_m, value_m)
 
 
 def respond(
@@ -154,13 +153,13 @@ def respond(
     def request_of(action: jax.Array, risk_m: jax.Array) -> Request:
         return request_with(action, risk_m, slot, seen, params, actions)
 
-    def fuse(before: Belief, measured_m: list[jax.Array], predicted_m: jax.Array) -> Belief:
-        return belief.correct(before, measured_m[0], measured_m[1], predicted_m, params.control.gate_sigma)
+    def use(before: Belief, fix: Fix) -> Belief:
+        return belief.correct(before, fix, params.control.replaces, params.control.gate_sigma)
 
     send, action = decision
     running = slot.number >= 0
     request = computed_once(running, request_of, action, seen.risk_m)
-    corrected = computed_once(running, fuse, state.belief, request.measured_m, request.predicted_m)
+    corrected = computed_once(running, use, state.belief, request.fix)
     lost = request.latency_s > params.env.timeout_s
     coming = belief.select(lost, state.belief, corrected)
     flight = jnp.floor(jnp.minimum(request.latency_s, params.env.timeout_s) / params.env.slot_s).astype(jnp.int32)

@@ -4,12 +4,14 @@ A client that asks the edge for its position pays in transmission, energy and de
 rates, from which gain on, and how much it may spend on a route.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.voi import Prices
+from ovibjax.errors import InputError
 
 PAPER_BUDGET_KB = 2.1
 """Payload per route, KB of 1,024 bytes (paper, Section "View-Rate Selection")."""
@@ -27,8 +29,8 @@ LAMBDA_B_M_PER_S, LAMBDA_D_M_PER_S, THRESHOLD_M, MIN_GAP_S = 117.0, 29.0, 0.27, 
 """VOI-Control's prices of transmission and delay, its threshold and its gap. The paper publishes none: these are what
 the tuning seeds of the full preset selected."""
 
-GATE_SIGMA = 3.0
-"""Innovation gate of corrections; an assumption."""
+CORRECTIONS = ("replace", "kalman")
+"""What a correction does: the edge's position becomes the estimate, or is fused with it."""
 
 
 class FixedRules(NamedTuple):
@@ -54,13 +56,14 @@ class Controller(NamedTuple):
 
     Attributes:
         prices: lambda_b, lambda_e, lambda_d.
-        threshold_m: VOI-Control asks only if the net VOI exceeds this.
-        min_gap_s: shortest time between two requests of VOI-Control.
+        threshold_m: the variant `voi_gap` asks only if the net VOI exceeds this ...
+        min_gap_s: ... and not sooner after its last request.
         budget_bytes: payload allowed over the route.
         energy_j: [A] endpoint energy E(a) of each action.
         energy_budget_j: energy allowed over the route.
         available: [A] bool, actions that may be chosen.
-        gate_sigma: innovation gate of corrections, see `belief.correct`.
+        replaces: whether a correction replaces the estimate, see `belief.correct`.
+        gate_sigma: innovation gate of corrections; infinity is none.
         rules: numbers of the other policies.
     """
 
@@ -71,10 +74,12 @@ class Controller(NamedTuple):
     energy_j: Any
     energy_budget_j: Any
     available: Any
+    replaces: Any
     gate_sigma: Any
     rules: FixedRules
 
 
+# Eight numbers, each of which a caller may want to change alone.
 def make_controller(
     actions: ActionSet,
     bandwidth_m_per_s: float = LAMBDA_B_M_PER_S,
@@ -82,6 +87,8 @@ def make_controller(
     threshold_m: float = THRESHOLD_M,
     min_gap_s: float = MIN_GAP_S,
     budget_kb: float = PAPER_BUDGET_KB,
+    correction: str = "replace",
+    gate_sigma: float = math.inf,
 ) -> Controller:
     """A controller with the paper's rules, no price on energy, and every action available.
 
@@ -89,13 +96,20 @@ def make_controller(
         actions: the action set.
         bandwidth_m_per_s: lambda_b.
         delay_m_per_s: lambda_d.
-        threshold_m: net VOI above which VOI-Control asks.
+        threshold_m: net VOI above which `voi_gap` asks.
         min_gap_s: shortest time between its requests.
         budget_kb: payload per route, KB of 1,024 bytes.
+        correction: one of `CORRECTIONS`.
+        gate_sigma: innovation above which a correction is discarded.
 
     Returns:
         Float32 leaves.
+
+    Raises:
+        InputError: an unknown correction.
     """
+    if correction not in CORRECTIONS:
+        raise InputError(f"correction {correction!r} is unknown; it must be one of {', '.join(CORRECTIONS)}")
     number = jnp.float32
     return Controller(
         prices=Prices(number(bandwidth_m_per_s), number(0.0), number(delay_m_per_s)),
@@ -105,7 +119,8 @@ def make_controller(
         energy_j=jnp.zeros(len(actions), jnp.float32),
         energy_budget_j=number(jnp.inf),
         available=jnp.ones(len(actions), bool),
-        gate_sigma=number(GATE_SIGMA),
+        replaces=jnp.asarray(correction == "replace"),
+        gate_sigma=number(gate_sigma),
         rules=FixedRules(
             period_s=number(PERIODIC_S),
             fixed_front_risk_m=number(FIXED_FRONT_RISK_M),

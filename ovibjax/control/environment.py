@@ -4,6 +4,7 @@ A seed fixes one realization of channel, drift, request timing and queue state (
 not depend on what the controller does, so policies that share a seed are paired.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ import numpy as np
 from ovibjax.control import belief
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.belief import Belief
+from ovibjax.control.drift import Drift, Odometry, draw_odometry, make_drift
 from ovibjax.edge.service import EDGE, ServiceProfile, draw_ms, estimate_ms
 from ovibjax.link.channel import fading_power
 from ovibjax.link.latency import JETSON, compute_ms_at
@@ -29,12 +31,14 @@ class Route(NamedTuple):
         context: [T] int32, index into `features.frames.CONTEXTS`.
         yaw_rad: [T] heading.
         predicted_m: [T, A] predicted residual g_psi of each action, m.
+        spread_m: [T, A] root mean square of such residuals on training routes, the local risk after a correction.
         residual_m: [T, A, 2] realised error of the edge's position, x and y, m.
     """
 
     context: Any
     yaw_rad: Any
     predicted_m: Any
+    spread_m: Any
     residual_m: Any
 
 
@@ -43,8 +47,7 @@ class Environment(NamedTuple):
 
     Attributes:
         slot_s: length of a slot.
-        drift_m2_per_s: [C] growth rate of tr P by context.
-        along_share: share of it along the heading.
+        drift: how the odometry drifts.
         initial_risk_m: local risk at the start.
         mean_kb_per_s: mean uplink throughput, KB/s of 1,024 bytes.
         snr: mean signal-to-noise ratio that sets how much fading moves the rate.
@@ -59,8 +62,7 @@ class Environment(NamedTuple):
     """
 
     slot_s: Any
-    drift_m2_per_s: Any
-    along_share: Any
+    drift: Drift
     initial_risk_m: Any
     mean_kb_per_s: Any
     snr: Any
@@ -83,49 +85,58 @@ PAPER_REQUESTS = 22
 PRE_RISK_M, POST_RISK_M = 6.0, 3.0
 """Local risk before and after a request: "roughly 6 to 9 m down to 2 to 4 m" (paper, Section "View-Rate Selection")."""
 
+DRIFT_SCALE_M = math.sqrt(PRE_RISK_M**2 - POST_RISK_M**2)
+"""What drift adds between two requests, from a risk of 3 m to one of 6 m: sqrt(6^2 - 3^2) m."""
+
 PAPER_UPLOAD_SHARE = (0.005, 0.057, 0.140)
 """Share of slots with an upload: corridor, intersection, repetitive (paper, Section "View-Rate Selection")."""
 
 
-def drift_from_paper(context_share: np.ndarray) -> np.ndarray:
+def rates_from_paper(context_share: np.ndarray) -> np.ndarray:
     """Drift rates by context that spend the paper's budget: 22 requests a route, each from 6 m to 3 m of risk.
 
-    The paper states no drift. It states that requests bring the local risk from 6 to 9 m down to 2 to 4 m, that 22 of
+    The paper states no rate. It states that requests bring the local risk from 6 to 9 m down to 2 to 4 m, that 22 of
     them fill the budget of 593 slots, that its uncertainty rule fires at 6 m within that budget, and the share of
-    slots with an upload by context. In balance, growth of tr P equals what corrections take away: rates are
-    proportional to the upload shares, and the mean rate is 22 (6^2 - 3^2) m^2 over the route.
+    slots with an upload by context. Between two requests drift adds sqrt(6^2 - 3^2) m, 22 times over the route; rates
+    are proportional to the upload shares.
 
     Args:
         context_share: [C] share of slots in each context, on training routes: the paper's three, and any further one
             (frames whose context is unknown), which drifts at the mean rate.
 
     Returns:
-        [C] growth rates of tr P, m^2/s.
+        [C] float32 rates, m/s.
     """
     upload = np.asarray(PAPER_UPLOAD_SHARE)
     known, further = np.split(np.asarray(context_share, np.float64), [len(upload)])
-    mean_rate = PAPER_REQUESTS * (PRE_RISK_M**2 - POST_RISK_M**2) / (PAPER_SLOTS * SLOT_S)
+    mean_rate = PAPER_REQUESTS * DRIFT_SCALE_M / (PAPER_SLOTS * SLOT_S)
     # Where no context is known, the three are taken as equally frequent.
     mix = known / known.sum() if known.sum() > 0 else np.full(len(upload), 1.0 / len(upload))
     return np.concatenate([mean_rate * upload / (upload @ mix), np.full(len(further), mean_rate)]).astype(np.float32)
 
 
 def make_environment(
-    context_share: Any = (0.44, 0.37, 0.19), mean_kb_per_s: float = 8.0, drift_scale: float = 1.0
+    context_share: Any = (0.44, 0.37, 0.19),
+    mean_kb_per_s: float = 8.0,
+    drift_scale: float = 1.0,
+    drift_model: str = "rate",
 ) -> Environment:
     """The default environment.
 
     Args:
-        context_share: [C] share of slots in each context; sets the drift, see `drift_from_paper`.
+        context_share: [C] share of slots in each context; sets the drift, see `rates_from_paper`.
         mean_kb_per_s: link profile.
         drift_scale: factor on every drift rate.
+        drift_model: a key of `drift.DRIFT_MODELS`.
 
     Returns:
         Float32 leaves.
+
+    Raises:
+        InputError: an unknown drift model.
     """
     numbers = {
         "slot_s": SLOT_S,
-        "along_share": 0.8,
         "initial_risk_m": POST_RISK_M,
         "mean_kb_per_s": mean_kb_per_s,
         "snr": 10.0,
@@ -138,8 +149,9 @@ def make_environment(
         "timeout_s": 5.0,
     }
     leaves = {name: jnp.float32(value) for name, value in numbers.items()}
-    rates = jnp.float32(drift_scale) * jnp.asarray(drift_from_paper(np.asarray(context_share)))
-    return Environment(drift_m2_per_s=rates, service=jax.tree.map(jnp.asarray, EDGE), **leaves)
+    rates = drift_scale * rates_from_paper(np.asarray(context_share))
+    drift = make_drift(rates, DRIFT_SCALE_M, drift_model)
+    return Environment(drift=drift, service=jax.tree.map(jnp.asarray, EDGE), **leaves)
 
 
 class Draws(NamedTuple):
@@ -147,7 +159,7 @@ class Draws(NamedTuple):
 
     Attributes:
         start: belief before the first slot.
-        increment: [T] drift of each slot.
+        odometry: [T] what drift brings in each slot.
         rate_bps: [T] uplink rate.
         delay_s: [T, A] predicted queueing, service and return delay.
         latency_s: [T, A] what really passes between the end of transmission and the correction, encoding included.
@@ -156,7 +168,7 @@ class Draws(NamedTuple):
     """
 
     start: Belief
-    increment: Belief
+    odometry: Odometry
     rate_bps: jax.Array
     delay_s: jax.Array
     latency_s: jax.Array
@@ -180,8 +192,7 @@ def draw(key: jax.Array, route: Route, env: Environment, actions: ActionSet) -> 
         zip(("start", "drift", "fading", "queue", "service", "rank", "phase"), jax.random.split(key, 7), strict=True)
     )
     slots = route.context.shape[0]
-    variance = env.drift_m2_per_s[route.context] * env.slot_s
-    normal = jax.random.normal(keys["drift"], (slots, 2))
+    odometry, toward = draw_odometry(keys["drift"], route.context, route.yaw_rad, env.slot_s, env.drift)
     fading = fading_power(keys["fading"], (slots,), env.rician_k_factor)
     queue_s = _queue_s(keys["queue"], slots, env)
     # The client knows the wait that the edge reported one slot ago.
@@ -191,8 +202,8 @@ def draw(key: jax.Array, route: Route, env: Environment, actions: ActionSet) -> 
     service_s = draw_ms(keys["service"], env.service, jnp.broadcast_to(mode, (slots, len(actions)))) / 1000.0
     encode_s = compute_ms_at(JETSON, jnp.asarray(actions.prefix)) / 1000.0
     return Draws(
-        start=belief.initial(env.initial_risk_m, jax.random.normal(keys["start"], (2,))),
-        increment=belief.drift(variance, env.along_share, route.yaw_rad, normal),
+        start=belief.initial(env.initial_risk_m, jax.random.normal(keys["start"], (2,)), toward),
+        odometry=odometry,
         rate_bps=profile_rate_bps(fading, env.mean_kb_per_s, env.snr, env.rician_k_factor, env.fading_depth),
         delay_s=reported_s[:, None] + (estimate_ms(env.service, mode) / 1000.0 + return_s)[None],
         latency_s=queue_s[:, None] + service_s + (encode_s + return_s)[None],

@@ -1,4 +1,4 @@
-"""When to ask and how: six causal request policies and one that knows the residuals (paper, "View-Rate Selection").
+"""When to ask and how: the paper's request policies and a variant of ours (paper, Section "View-Rate Selection").
 
 Each policy is a pure function of what the client sees in one slot, with one signature. What is planned ahead (evenly
 spaced slots, random slots, another policy's slots) comes in as `scheduled`, see `planning`. Actions are unrolled: a
@@ -93,7 +93,13 @@ def chosen(values: Sequence[Any], action: jax.Array) -> jax.Array:
 
 
 def voi(seen: Observation, control: Controller, actions: ActionSet) -> Decision:
-    """VOI-Control: the action with the highest net VOI, if that is positive and above the threshold (eq. "action")."""
+    """VOI-Control: the action with the highest net VOI, if that is positive (eq. "action"); one request at a time."""
+    action, value = highest(net_values(seen, control, actions), seen.allowed)
+    return Decision((value > 0.0) & ~seen.waiting, action)
+
+
+def voi_gap(seen: Observation, control: Controller, actions: ActionSet) -> Decision:
+    """A variant of ours: a net VOI above a threshold, and not sooner than a gap after the last request."""
     action, value = highest(net_values(seen, control, actions), seen.allowed)
     # Twice the slack of float32 time, so that a gap of n slots is reached after n slots.
     rested = seen.since_s >= control.min_gap_s - 1e-3
@@ -139,6 +145,7 @@ def _fixed(seen: Observation, due: jax.Array, mode: str, actions: ActionSet) -> 
 
 POLICIES: dict[str, Policy] = {
     "voi": voi,
+    "voi_gap": voi_gap,
     "periodic": scheduled_fs,
     "budgeted_periodic": scheduled_fs,
     "fixed_front": fixed_front,
@@ -146,4 +153,4 @@ POLICIES: dict[str, Policy] = {
     "uncertainty": uncertainty,
     "oracle_action": oracle_action,
 }
-"""Policies by name; the last is no causal policy but a bound."""
+"""Policies by name; `voi_gap` is not the paper's, and the last is no causal policy but a bound."""

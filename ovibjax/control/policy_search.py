@@ -1,7 +1,8 @@
 """Which numbers suit VOI-Control: many candidate controllers, each replayed on every route and seed.
 
-This is the search on tuning seeds of the paper's Section "View-Rate Selection". The candidate with the lowest local
-risk under the hard budget wins; no true error is looked at.
+This is the search on tuning seeds of the paper's Section "View-Rate Selection", whose "tuning seeds select the
+lowest-risk feasible configuration". Feasible is a configuration that keeps the budget by its own prices on every tuning
+seed; no true error is looked at.
 """
 
 import jax
@@ -16,7 +17,7 @@ from ovibjax.control.voi import Prices
 
 
 def candidates(key: jax.Array, count: int, actions: ActionSet) -> Controller:
-    """Random configurations: prices, threshold and gap of VOI-Control, threshold and gap of the uncertainty rule.
+    """Random configurations: prices of VOI-Control; threshold and gap of its variant and of the uncertainty rule.
 
     Args:
         key: random key.
@@ -64,9 +65,21 @@ def search(
     return jax.vmap(jax.vmap(one, (0, None)))(draws, routes)
 
 
-def lowest_risk(searched: Summary) -> jax.Array:
-    """Position of the candidate with the lowest mean local risk over routes and seeds."""
-    return jnp.argmin(jnp.mean(searched.risk_m, axis=(0, 1)))
+def lowest_risk(searched: Summary, budget_kb: jax.Array) -> jax.Array:
+    """Position of the candidate with the lowest mean local risk among those that keep the budget on every replay.
+
+    Args:
+        searched: replays that no budget cuts short, fields [routes, seeds, candidates].
+        budget_kb: payload per route.
+
+    Returns:
+        int32; where no candidate keeps the budget, the one that spends least.
+    """
+    most_kb = jnp.max(searched.kb, axis=(0, 1))
+    risk_m = jnp.mean(searched.risk_m, axis=(0, 1))
+    feasible = most_kb <= budget_kb
+    least = jnp.where(jnp.any(feasible), jnp.argmin(jnp.where(feasible, risk_m, jnp.inf)), jnp.argmin(most_kb))
+    return least.astype(jnp.int32)
 
 
 def take(tried: Controller, index: jax.Array) -> Controller:

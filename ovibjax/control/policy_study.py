@@ -1,9 +1,9 @@
-"""Tune the controller on tuning seeds and training routes, compare every policy on held-out ones: one compiled call.
+"""Tune the controller on tuning seeds, compare every policy on held-out ones: one compiled call.
 
-The search replays VOI-Control for every candidate on every training route and tuning seed, see `policy_search`. The
-winner and the paper's fixed rules then run on held-out routes and seeds. Settings (drift, budget) are mapped in turn
-around all of it, so that a sensitivity study is the same program. Nothing that is swept is baked in: other seeds,
-prices or budgets compile nothing.
+The search replays VOI-Control for every candidate on every tuning route and seed, see `policy_search`. The winner and
+the paper's fixed rules then run on held-out seeds, under a budget that is also a hard cap. Settings (drift, budget) are
+mapped in turn around all of it, so that a sensitivity study is the same program. Nothing that is swept is baked in:
+other seeds, drift models, prices or budgets compile nothing.
 """
 
 from dataclasses import dataclass
@@ -12,18 +12,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.client_state import ControlParams
-from ovibjax.control.controller import Controller, FixedRules, make_controller
-from ovibjax.control.environment import Environment, Route, draw, make_environment
+from ovibjax.control.controller import Controller, FixedRules
+from ovibjax.control.drift import Drift
+from ovibjax.control.environment import Draws, Environment, Route, draw
 from ovibjax.control.planning import plan
 from ovibjax.control.policies import POLICIES
-from ovibjax.control.policy_search import candidates, lowest_risk, search, take
+from ovibjax.control.policy_search import lowest_risk, search, take
 from ovibjax.control.route_replay import RouteResult, replay_schedule
-from ovibjax.control.route_summary import Summary, summarize
-from ovibjax.control.scene import Scene
+from ovibjax.control.route_summary import Summary, score, summarize
 
 SHOWN = ("voi", "budgeted_periodic")
 """Policies whose slots are kept: those that figures draw over time, and whose requests are scheduled."""
@@ -48,22 +47,24 @@ class Setting(NamedTuple):
     """One point of the sensitivity study; fields [settings].
 
     Attributes:
-        drift_scale: factor on every drift rate.
+        drift: how the odometry drifts.
         budget_kb: payload per route, KB.
         mean_kb_per_s: link profile, KB/s.
+        protocol: int32, which routes and seeds.
     """
 
-    drift_scale: jax.Array
+    drift: Drift
     budget_kb: jax.Array
     mean_kb_per_s: jax.Array
+    protocol: jax.Array
 
 
 class RoutesAndSeeds(NamedTuple):
     """What controllers are tried on.
 
     Attributes:
-        routes: [R, T, ...] routes.
-        keys: [S] keys of seeds.
+        routes: [..., R, T, ...] routes.
+        keys: keys of seeds: [..., R, S] where prices are tuned, [..., R] where they are judged.
     """
 
     routes: Route
@@ -74,10 +75,12 @@ class Outcome(NamedTuple):
     """What a study found, with leading axis [settings].
 
     Attributes:
-        searched: VOI-Control on tuning seeds, fields [routes, seeds, candidates].
+        searched: VOI-Control on tuning seeds without a cap, fields [routes, seeds, candidates].
         best: position of the chosen candidate.
         control: the chosen configuration of VOI-Control.
+        gap_control: that of its variant with a threshold and a gap.
         tuned: rules whose uncertainty threshold and gap were searched as VOI-Control's prices are.
+        free_kb: what VOI-Control would send on held-out seeds if the cap were not there, fields [seeds].
         held_out: result of each policy by name, fields [seeds]; `tuned_uncertainty` follows `tuned`.
         histories: the replays of the policies in `SHOWN`, fields [seeds, T].
     """
@@ -85,7 +88,9 @@ class Outcome(NamedTuple):
     searched: Summary
     best: jax.Array
     control: Controller
+    gap_control: Controller
     tuned: FixedRules
+    free_kb: jax.Array
     held_out: dict[str, Summary]
     histories: dict[str, RouteResult]
 
@@ -104,11 +109,11 @@ def study(
 
     Args:
         settings: [settings] drift, budget and link.
-        env: the environment at drift scale 1.
+        env: the environment; its drift and link are the setting's.
         tried: [C] candidate controllers.
         rules: numbers of the fixed rules, the paper's.
-        tuning: training routes and tuning seeds; every route is replayed with every seed.
-        held_out: a held-out route for each held-out seed.
+        tuning: what prices are tuned on by protocol, a row of seeds for each route.
+        held_out: what policies are judged on by protocol, a route for each seed.
         actions: the action set (static).
 
     Returns:
@@ -116,55 +121,81 @@ def study(
     """
 
     def one(setting: Setting) -> Outcome:
-        world = env._replace(
-            drift_m2_per_s=env.drift_m2_per_s * setting.drift_scale, mean_kb_per_s=setting.mean_kb_per_s
+        world = env._replace(drift=setting.drift, mean_kb_per_s=setting.mean_kb_per_s)
+        budget = jnp.full_like(tried.budget_bytes, 1024.0) * setting.budget_kb
+
+        tuned_on, judged_on = jax.tree.map(lambda leaf: leaf[setting.protocol], (tuning, held_out))
+
+        def of_route(route: Route, keys: jax.Array) -> Draws:
+            return jax.vmap(lambda key: draw(key, route, world, actions))(keys)
+
+        draws = jax.vmap(of_route)(*tuned_on)  # drawn once for the three searches
+        uncapped = tried._replace(budget_bytes=jnp.full_like(tried.budget_bytes, jnp.inf))
+        searched, best = {}, {}
+        for policy in ("voi", "voi_gap", "uncertainty"):
+            searched[policy] = search(draws, tuned_on.routes, world, uncapped, policy, actions)
+            best[policy] = lowest_risk(searched[policy], setting.budget_kb)
+        found = {policy: take(tried._replace(budget_bytes=budget), index) for policy, index in best.items()}
+        control, gap_control = (found[policy]._replace(rules=rules) for policy in ("voi", "voi_gap"))
+        tuned = found["uncertainty"].rules
+        params = ControlParams(world, control)
+        histories, free_kb = compare(params, gap_control, tuned, judged_on, actions)
+        return Outcome(
+            searched["voi"],
+            best["voi"],
+            control,
+            gap_control,
+            tuned,
+            free_kb,
+            {name: summarize(history) for name, history in histories.items()},
+            {name: histories[name] for name in SHOWN},
         )
-        budgeted = tried._replace(budget_bytes=jnp.full_like(tried.budget_bytes, 1024.0) * setting.budget_kb)
-        # Every route with every tuning seed; drawn once for both searches.
-        draws = jax.vmap(lambda route: jax.vmap(lambda key: draw(key, route, world, actions))(tuning.keys))(
-            tuning.routes
-        )
-        searched = search(draws, tuning.routes, world, budgeted, "voi", actions)
-        best = lowest_risk(searched)
-        by_rule = search(draws, tuning.routes, world, budgeted, "uncertainty", actions)
-        tuned = take(budgeted, lowest_risk(by_rule)).rules
-        control = take(budgeted, best)._replace(rules=rules)
-        histories = compare(ControlParams(world, control), tuned, held_out, actions)
-        summaries = {name: summarize(history) for name, history in histories.items()}
-        return Outcome(searched, best, control, tuned, summaries, {name: histories[name] for name in SHOWN})
 
     return jax.lax.map(one, settings)
 
 
 def compare(
-    params: ControlParams, tuned: FixedRules, held_out: RoutesAndSeeds, actions: ActionSet
-) -> dict[str, RouteResult]:
+    params: ControlParams, gap_control: Controller, tuned: FixedRules, held_out: RoutesAndSeeds, actions: ActionSet
+) -> tuple[dict[str, RouteResult], jax.Array]:
     """Every policy on paired routes and seeds.
 
     Args:
         params: the environment; VOI-Control's configuration, and the paper's rules.
+        gap_control: the configuration of its variant.
         tuned: rules with the searched uncertainty threshold and gap.
         held_out: a route for each seed.
         actions: the action set (static).
 
     Returns:
-        Histories [L, T] by policy, and `tuned_uncertainty`.
+        Histories [L, T] by policy and of `tuned_uncertainty`; [L] what VOI-Control would send without a cap, KB.
     """
 
-    def one(route: Route, key: jax.Array) -> dict[str, RouteResult]:
-        return replay_every_policy(key, route, params, tuned, actions)
+    def one(route: Route, key: jax.Array) -> tuple[dict[str, RouteResult], jax.Array]:
+        draws = draw(key, route, params.env, actions)
+        free = params._replace(control=params.control._replace(budget_bytes=jnp.float32(jnp.inf)))
+        return (
+            replay_every_policy(draws, route, params, gap_control, tuned, actions),
+            score(draws, route, "voi", free, actions).kb,
+        )
 
     return jax.vmap(one)(*held_out)
 
 
 def replay_every_policy(
-    key: jax.Array, route: Route, params: ControlParams, tuned: FixedRules, actions: ActionSet
+    draws: Draws,
+    route: Route,
+    params: ControlParams,
+    gap_control: Controller,
+    tuned: FixedRules,
+    actions: ActionSet,
 ) -> dict[str, RouteResult]:
-    """`compare` on one route and seed."""
+    """`compare` on one route and realization."""
     env, control = params
-    draws = draw(key, route, env, actions)
     none = jnp.zeros(draws.rate_bps.shape, bool)
-    results = {"voi": replay_schedule(draws, route, "voi", none, params, actions)}
+    results = {
+        "voi": replay_schedule(draws, route, "voi", none, params, actions),
+        "voi_gap": replay_schedule(draws, route, "voi_gap", none, ControlParams(env, gap_control), actions),
+    }
     sent = results["voi"].sent
 
     def by_name(names: tuple[str, ...], histories: RouteResult) -> dict[str, RouteResult]:
@@ -185,34 +216,3 @@ def replay_every_policy(
     both = jax.tree.map(lambda *leaves: jnp.stack(leaves), control.rules, tuned)
     results |= by_name(("uncertainty", "tuned_uncertainty"), jax.vmap(by_uncertainty)(both))
     return {policy: results[policy] for policy in (*POLICIES, "tuned_uncertainty")}
-
-
-def run_study(scene: Scene, settings: Setting, size: StudySize, first_seed: int) -> Outcome:
-    """`study` on a scene with the project's seeds: tuning seeds 0, 1, ..., held-out seeds from `first_seed` on."""
-    held = [first_seed + i for i in range(size.held_out_seeds)]
-    return study(
-        settings,
-        make_environment(scene.context_share),
-        candidates(jax.random.key(0), size.candidates, scene.actions),
-        make_controller(scene.actions).rules,
-        RoutesAndSeeds(stack_routes(scene.training), seeds_to_keys(list(range(size.tuning_seeds)))),
-        RoutesAndSeeds(routes_for_seeds(scene, held), seeds_to_keys(held)),
-        scene.actions,
-    )
-
-
-def stack_routes(routes: list[Route]) -> Route:
-    """Routes of equal length with a leading axis; longer ones are cut to the shortest."""
-    slots = min(len(route.context) for route in routes)
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf[:slots]) for leaf in leaves]), *routes)
-
-
-def seeds_to_keys(seeds: list[int]) -> jax.Array:
-    """One key per seed."""
-    return jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
-
-
-def routes_for_seeds(scene: Scene, seeds: list[int]) -> Route:
-    """A held-out route per seed, in turn."""
-    stacked = stack_routes(scene.held_out)
-    return jax.tree.map(lambda leaf: leaf[np.arange(len(seeds)) % len(scene.held_out)], stacked)

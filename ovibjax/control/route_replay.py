@@ -24,8 +24,9 @@ def slots_of(route: Route, draws: Draws, scheduled: jax.Array) -> Slot:
     return Slot(
         jnp.arange(scheduled.shape[0]),
         jnp.asarray(route.predicted_m),
+        jnp.asarray(route.spread_m),
         jnp.asarray(route.residual_m),
-        draws.increment,
+        draws.odometry,
         draws.rate_bps,
         draws.delay_s,
         draws.latency_s,

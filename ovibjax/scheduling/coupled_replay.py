@@ -101,7 +101,7 @@ def replay_coupled(key: jax.Array, fleet: Fleet, params: CoupledParams, rules: C
     none = jnp.zeros((n, length), bool)
     slots = jax.vmap(slots_of)(fleet.routes, fleet.draws, none)
     slots = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), slots)
-    growth = jnp.moveaxis(params.control.env.drift_m2_per_s[fleet.routes.context], 0, 1)
+    drift = jnp.moveaxis(params.control.env.drift.rate_m_per_s[fleet.routes.context], 0, 1)
     keys = jax.vmap(lambda t: jax.random.fold_in(key, t))(jnp.arange(length))
     pool = empty_pool(n)
     begin = _State(jax.vmap(start)(fleet.draws), pool, jnp.float32(0.0))
@@ -109,7 +109,7 @@ def replay_coupled(key: jax.Array, fleet: Fleet, params: CoupledParams, rules: C
     def step(state: _State, inputs: tuple[Slot, jax.Array, jax.Array]) -> tuple[_State, CoupledResult]:
         return _slot(state, *inputs, fleet.mission, params, rules)
 
-    return jax.lax.scan(step, begin, (slots, growth, keys))[1]
+    return jax.lax.scan(step, begin, (slots, drift, keys))[1]
 
 
 class _State(NamedTuple):
@@ -123,7 +123,7 @@ class _State(NamedTuple):
 def _slot(
     state: _State,
     slot: Slot,
-    growth_m2_per_s: jax.Array,
+    drift_m_per_s: jax.Array,
     key: jax.Array,
     mission: Mission,
     params: CoupledParams,
@@ -135,7 +135,7 @@ def _slot(
     backlog_ms = jnp.maximum(free_ms, 0.0) + jnp.sum(jnp.where(pool.waiting, pool.service_est_ms, 0.0))
     delay_s = (backlog_ms + estimate_ms(env.service, mode) + env.return_ms) / 1000.0
     clients, info = _act(clients, slot, delay_s, params.control, rules)
-    fresh = _sent(info, mode, growth_m2_per_s, key, params.control, rules.actions)
+    fresh = _sent(info, mode, drift_m_per_s, key, params.control, rules.actions)
     pool = jax.tree.map(lambda new, old: jnp.where(info.sent, new, old), fresh, pool)
     slot_ms = 1000.0 * env.slot_s
     finish_ms, pool, free_ms = serve_slot(pool, free_ms, slot_ms, mission, rules.scheduler, params.scheduler)
@@ -178,7 +178,7 @@ def _act(
 def _sent(
     info: SlotInfo,
     mode: jax.Array,
-    growth_m2_per_s: jax.Array,
+    drift_m_per_s: jax.Array,
     key: jax.Array,
     params: ControlParams,
     actions: ActionSet,
@@ -196,5 +196,5 @@ def _sent(
         voi_m=info.voi_m,
         risk_m=info.risk_before_m,
         delay_est_ms=1000.0 * info.delay_s,
-        drift_m_per_s=growth_m2_per_s / (2.0 * info.risk_before_m),  # d sqrt(tr P) / dt, as in recorded requests
+        drift_m_per_s=drift_m_per_s,
     )

@@ -47,15 +47,13 @@ class Events(NamedTuple):
     valid: jax.Array
 
 
-def recorded_events(run: RouteResult, context: np.ndarray, drift_m2_per_s: np.ndarray, actions: ActionSet) -> Events:
+def recorded_events(run: RouteResult, context: np.ndarray, rate_m_per_s: np.ndarray, actions: ActionSet) -> Events:
     """Requests of one recorded control replay.
-
-    The fitted drift rate is that at which the local risk grows at the request: d sqrt(tr P) / dt = q / (2 L).
 
     Args:
         run: the replay, fields [T], on the host.
         context: [T] route context.
-        drift_m2_per_s: [C] growth of tr P by context.
+        rate_m_per_s: [C] fitted drift rate by context.
         actions: what action numbers mean.
 
     Returns:
@@ -75,7 +73,7 @@ def recorded_events(run: RouteResult, context: np.ndarray, drift_m2_per_s: np.nd
         payload_bytes=jnp.asarray(actions.payload_bytes[action], jnp.int32),
         voi_m=jnp.asarray(np.asarray(run.voi_m)[slots]),
         risk_m=jnp.asarray(risk_m),
-        drift_m_per_s=jnp.asarray(np.asarray(drift_m2_per_s)[context[slots]] / (2.0 * risk_m), jnp.float32),
+        drift_m_per_s=jnp.asarray(np.asarray(rate_m_per_s)[context[slots]], jnp.float32),
         delay_est_ms=jnp.asarray(1000.0 * np.asarray(run.delay_s)[slots]),
         valid=jnp.ones(len(slots), bool),
     )
@@ -89,7 +87,7 @@ def first_events(
     Args:
         run: the replay, fields [T].
         context: [T] route context.
-        env: length of a slot, growth of tr P by context.
+        env: length of a slot, drift rates by context.
         actions: what action numbers mean.
         most: number of events E (static); later requests are left out.
 
@@ -105,7 +103,7 @@ def first_events(
         payload_bytes=actions.payload_bytes.astype(jnp.int32)[action],
         voi_m=run.voi_m[slots],
         risk_m=risk_m,
-        drift_m_per_s=env.drift_m2_per_s[context[slots]] / (2.0 * jnp.maximum(risk_m, 1e-6)),
+        drift_m_per_s=env.drift.rate_m_per_s[context[slots]],
         delay_est_ms=1000.0 * run.delay_s[slots],
         valid=jnp.arange(most) < jnp.sum(run.sent.astype(jnp.int32)),
     )

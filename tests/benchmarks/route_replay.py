@@ -72,7 +72,7 @@ def make_inputs(seeds: int, candidates: int) -> tuple[Draws, Route, Environment,
     size = predicted * rng.lognormal(0.0, 0.5, predicted.shape)
     residual = np.stack([size * np.cos(angle), size * np.sin(angle)], -1)
     yaw = rng.uniform(0, 2 * np.pi, SLOTS)
-    route = Route(context, *(jnp.asarray(x, jnp.float32) for x in (yaw, predicted, residual)))
+    route = Route(context, *(jnp.asarray(x, jnp.float32) for x in (yaw, predicted, 1.1 * predicted, residual)))
     env = make_environment()
     keys = jax.random.split(jax.random.key(0), seeds)
     draws = jax.jit(jax.vmap(lambda key: draw(key, route, env, ACTIONS)))(keys)
@@ -89,7 +89,7 @@ def on_one_device(draws: Draws, route: Route, env: Environment, tried: Controlle
     """Fields [seeds, candidates]; `per_scan` seeds go through one scan, the others after them."""
 
     def of_seed(draws: Draws) -> Summary:
-        return jax.vmap(lambda control: score(draws, route, "voi", ControlParams(env, control)))(tried)
+        return jax.vmap(lambda control: score(draws, route, "voi_gap", ControlParams(env, control)))(tried)
 
     return jax.lax.map(of_seed, draws, batch_size=per_scan)
 
@@ -110,42 +110,44 @@ def ours(inputs: tuple, devices: int, per_scan: int):
 
 
 @numba.njit(parallel=True, cache=False)
-def numba_replays(start, step, rate, delay, latency, predicted, residual, size, numbers, rest, out):
+def numba_replays(start, drift, rate, delay, latency, predicted, spread, residual, size, numbers, rest, out):
     """The replay, one client at a time, replays dealt to the cores; float32 throughout.
 
-    start [S, 5], step [S, T, 5], rate [S, T], delay and latency [S, T, A], predicted [T, A], residual [T, A, 2],
-    size [A], numbers [C, 5] (prices of bandwidth and delay, threshold, gap, budget), rest: slot, time-out, gate.
+    It knows what the default settings make of the formulas: the error grows linearly, corrections replace the estimate,
+    the covariance is isotropic and its trace is all that is needed of it.
+
+    start [S, 5] (error x and y, trace, direction x and y), drift [S, T, 3] (metres, direction x and y), rate [S, T],
+    delay and latency [S, T, A], predicted and spread [T, A], residual [T, A, 2], size [A], numbers [C, 5] (prices of
+    bandwidth and delay, threshold, gap, budget), rest: slot, time-out.
     """
     seeds, slots = rate.shape
     actions, candidates = size.shape[0], numbers.shape[0]
-    slot_s, timeout_s, gate = rest[0], rest[1], rest[2]
-    half, tiny, one, eight, zero = np.float32(0.5), np.float32(1e-6), np.float32(1), np.float32(8), np.float32(0)
+    slot_s, timeout_s = rest[0], rest[1]
+    tiny, eight, zero = np.float32(2e-6), np.float32(8), np.float32(0)
     for lane in numba.prange(seeds * candidates):
         s, c = lane // candidates, lane % candidates
         price_b, price_d, gap, budget = numbers[c, 0], numbers[c, 1], numbers[c, 3], numbers[c, 4]
         threshold = max(numbers[c, 2], zero)
-        ex, ey, xx, xy, yy = start[s, 0], start[s, 1], start[s, 2], start[s, 3], start[s, 4]
-        pex, pey, pxx, pxy, pyy = ex, ey, xx, xy, yy
+        ex, ey, trace, way, tx, ty = start[s, 0], start[s, 1], start[s, 2], zero, start[s, 3], start[s, 4]
+        pex, pey, ptrace, pway, ptx, pty = ex, ey, trace, way, tx, ty
         arrives, last, bytes_sent, requests = -1, -(1 << 20), zero, 0
         error_sum, risk_sum = zero, zero
         for t in range(slots):
-            dex, dey, dxx, dxy, dyy = step[s, t, 0], step[s, t, 1], step[s, t, 2], step[s, t, 3], step[s, t, 4]
-            ex += dex
-            ey += dey
-            xx += dxx
-            xy += dxy
-            yy += dyy
+            more = drift[s, t, 0]
+            ex += more * tx
+            ey += more * ty
+            trace += more * (more + way + way)
+            way += more
             if arrives >= t:  # a correction under way drifts too
-                pex += dex
-                pey += dey
-                pxx += dxx
-                pxy += dxy
-                pyy += dyy
+                pex += more * ptx
+                pey += more * pty
+                ptrace += more * (more + pway + pway)
+                pway += more
                 if arrives == t:
-                    ex, ey, xx, xy, yy = pex, pey, pxx, pxy, pyy
+                    ex, ey, trace, way, tx, ty = pex, pey, ptrace, pway, ptx, pty
             # The choice among actions is looked at only where a request is possible at all.
             if arrives <= t and np.float32(t - last) * slot_s >= gap - np.float32(1e-3) and rate[s, t] > zero:
-                risk = np.sqrt(xx + yy)
+                risk = np.sqrt(trace)
                 per_byte = price_b * eight / rate[s, t]
                 best, action = threshold, -1
                 for a in range(actions):
@@ -158,24 +160,17 @@ def numba_replays(start, step, rate, delay, latency, predicted, residual, size, 
                     bytes_sent += size[action]
                     last = t
                     wait = eight * size[action] / rate[s, t] + latency[s, t, action]
-                    pex, pey, pxx, pxy, pyy = ex, ey, xx, xy, yy
+                    pex, pey, ptrace, pway, ptx, pty = ex, ey, trace, way, tx, ty
                     if wait <= timeout_s:
-                        noise = half * predicted[t, action] * predicted[t, action] + tiny
-                        sxx, syy = xx + noise, yy + noise
-                        inverse = one / (sxx * syy - xy * xy)
-                        dx, dy = residual[t, action, 0] - ex, residual[t, action, 1] - ey
-                        wx, wy = (syy * dx - xy * dy) * inverse, (sxx * dy - xy * dx) * inverse
-                        if dx * wx + dy * wy <= gate * gate:
-                            determinant, scale = xx * yy - xy * xy, noise * inverse
-                            pex, pey = ex + xx * wx + xy * wy, ey + xy * wx + yy * wy
-                            pxx, pyy = scale * (determinant + noise * xx), scale * (determinant + noise * yy)
-                            pxy = scale * noise * xy
+                        pex, pey = residual[t, action, 0], residual[t, action, 1]
+                        ptrace, pway = spread[t, action] * spread[t, action] + tiny, zero
+                        ptx, pty = drift[s, t, 1], drift[s, t, 2]
                     flight = int(min(wait, timeout_s) / slot_s)
                     arrives = t + flight
                     if flight == 0:
-                        ex, ey, xx, xy, yy = pex, pey, pxx, pxy, pyy
+                        ex, ey, trace, way, tx, ty = pex, pey, ptrace, pway, ptx, pty
             error_sum += np.sqrt(ex * ex + ey * ey)
-            risk_sum += np.sqrt(xx + yy)
+            risk_sum += np.sqrt(trace)
         out[lane, 0], out[lane, 1] = error_sum / np.float32(slots), risk_sum / np.float32(slots)
         out[lane, 2], out[lane, 3] = np.float32(requests), bytes_sent
 
@@ -185,12 +180,17 @@ def for_numba(inputs: tuple):
     draws, route, env, tried = jax.device_get(inputs)
     numbers = (tried.prices.bandwidth_m_per_s, tried.prices.delay_m_per_s, tried.threshold_m, tried.min_gap_s)
     control = np.ascontiguousarray(np.stack([*numbers, tried.budget_bytes], -1))
-    rest = np.array([env.slot_s, env.timeout_s, tried.gate_sigma[0]], np.float32)
-    start, step = (np.ascontiguousarray(np.stack(b, -1)) for b in (draws.start, draws.increment))
+    rest = np.array([env.slot_s, env.timeout_s], np.float32)
+    first, odometry = draws.start, draws.odometry
+    trace = first.cov_xx_m2 + first.cov_yy_m2
+    begin = (first.error_x_m, first.error_y_m, trace, first.toward_x, first.toward_y)
+    start = np.ascontiguousarray(np.stack(begin, -1))
+    drift = np.ascontiguousarray(np.stack([odometry.advance_m, odometry.toward_x, odometry.toward_y], -1))
     out = np.zeros((len(start) * len(control), 4), np.float32)
-    world = (start, step, draws.rate_bps, draws.delay_s, draws.latency_s)
+    world = (start, drift, draws.rate_bps, draws.delay_s, draws.latency_s)
     sizes = ACTIONS.payload_bytes
-    return (*world, np.asarray(route.predicted_m), np.asarray(route.residual_m), sizes, control, rest, out)
+    table = (np.asarray(leaf) for leaf in (route.predicted_m, route.spread_m, route.residual_m))
+    return (*world, *table, sizes, control, rest, out)
 
 
 def plain_python(inputs: tuple, lanes: list[tuple[int, int]]) -> tuple[np.ndarray, float]:
@@ -201,7 +201,7 @@ def plain_python(inputs: tuple, lanes: list[tuple[int, int]]) -> tuple[np.ndarra
         one, control = (jax.tree.map(lambda leaf, i=i: leaf[i], tree) for tree, i in ((draws, s), (tried, c)))
         arguments = for_oracle(one, route, ControlParams(env, control))
         start = time.perf_counter()
-        result = oracle.replay("voi", *arguments)
+        result = oracle.replay("voi_gap", *arguments)
         seconds += time.perf_counter() - start
         found.append((result["error"].mean(), result["payload"].sum()))
     return np.array(found), seconds / (len(lanes) * SLOTS)

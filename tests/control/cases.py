@@ -32,7 +32,8 @@ def make_route(seed, slots=SLOTS, actions=8):
     residual = rng.normal(size=(slots, actions, 2)) * (predicted[..., None] / np.sqrt(2) + 0.1)
     residual += 40.0 * (rng.random((slots, actions, 1)) < 0.1) * rng.normal(size=(slots, actions, 2))
     yaw = np.cumsum(rng.normal(scale=0.3, size=slots))
-    return Route(context.astype(np.int32), *(jnp.asarray(x, jnp.float32) for x in (yaw, predicted, residual)))
+    fields = (yaw, predicted, 1.3 * predicted, residual)
+    return Route(context.astype(np.int32), *(jnp.asarray(x, jnp.float32) for x in fields))
 
 
 def drive(seed, n=120, views=5, d=24, known=1.0):
@@ -51,8 +52,11 @@ def drive(seed, n=120, views=5, d=24, known=1.0):
 
 
 def environment(**changes):
-    """The default environment with some leaves changed."""
-    return make_environment()._replace(**{name: jnp.asarray(value, jnp.float32) for name, value in changes.items()})
+    """The default environment with some leaves changed, of `drift` the model and the rates."""
+    env = make_environment(drift_model=changes.pop("model", "rate"))
+    if "rate_m_per_s" in changes:
+        env = env._replace(drift=env.drift._replace(rate_m_per_s=jnp.float32(changes.pop("rate_m_per_s"))))
+    return env._replace(**{name: jnp.asarray(value, jnp.float32) for name, value in changes.items()})
 
 
 def controller(actions=ACTIONS, **changes):
@@ -61,23 +65,27 @@ def controller(actions=ACTIONS, **changes):
     for part in ("rules", "prices"):
         fields = {name: jnp.float32(v) for name, v in changes.pop(part, {}).items()}
         control = control._replace(**{part: getattr(control, part)._replace(**fields)})
-    kinds = {name: bool if name == "available" else jnp.float32 for name in changes}
+    kinds = {name: bool if name in ("available", "replaces") else jnp.float32 for name in changes}
     return control._replace(**{name: jnp.asarray(value, kinds[name]) for name, value in changes.items()})
 
 
 def for_oracle(draws, route, params, actions=ACTIONS):
     """Arguments of `oracle.replay` after the policy."""
     wide = partial(np.asarray, dtype=np.float64)
-    up, control = draws.increment, params.control
+    up, control, drift = draws.odometry, params.control, params.env.drift
+    start = draws.start
 
-    def matrices(b):
-        return np.stack([wide(x) for x in (b.cov_xx_m2, b.cov_xy_m2, b.cov_xy_m2, b.cov_yy_m2)], -1).reshape(-1, 2, 2)
+    def matrices(xx, xy, yy):
+        return np.stack([wide(x) for x in (xx, xy, xy, yy)], -1).reshape(-1, 2, 2)
 
     world = {
-        "start_error": wide([draws.start.error_x_m, draws.start.error_y_m]),
-        "start_cov": matrices(draws.start)[0],
-        "drift_error": np.stack([wide(up.error_x_m), wide(up.error_y_m)], -1),
-        "drift_cov": matrices(up),
+        "start_error": wide([start.error_x_m, start.error_y_m]),
+        "start_cov": matrices(start.cov_xx_m2, start.cov_xy_m2, start.cov_yy_m2)[0],
+        "start_toward": wide([start.toward_x, start.toward_y]),
+        "advance": wide(up.advance_m),
+        "walk": np.stack([wide(up.walk_x), wide(up.walk_y)], -1),
+        "walk_cov": matrices(up.cov_xx, up.cov_xy, 1.0 - wide(up.cov_xx)),
+        "toward": np.stack([wide(up.toward_x), wide(up.toward_y)], -1),
         "rate": wide(draws.rate_bps),
         "delay": wide(draws.delay_s),
         "latency": wide(draws.latency_s),
@@ -92,6 +100,7 @@ def for_oracle(draws, route, params, actions=ACTIONS):
         "energy": wide(control.energy_j),
         "energy_budget": float(control.energy_budget_j),
         "available": np.asarray(control.available),
+        "replaces": bool(control.replaces),
         "gate": float(control.gate_sigma),
         "period": float(control.rules.period_s),
         "fixed_front": (float(control.rules.fixed_front_risk_m), float(control.rules.fixed_front_gap_s)),
@@ -99,8 +108,12 @@ def for_oracle(draws, route, params, actions=ACTIONS):
     }
     return (
         world,
-        {"predicted": wide(route.predicted_m), "residual": wide(route.residual_m)},
-        {"slot_s": float(params.env.slot_s), "timeout_s": float(params.env.timeout_s)},
+        {name: wide(getattr(route, f"{name}_m")) for name in ("predicted", "spread", "residual")},
+        {
+            "slot_s": float(params.env.slot_s),
+            "timeout_s": float(params.env.timeout_s),
+            "drift": {"scale": float(drift.scale_m), "power": float(drift.power), "walks": bool(drift.walks)},
+        },
         numbers,
         oracle.action_list(actions.modes, actions.prefixes),
     )
@@ -141,7 +154,7 @@ def assert_equal(found, expected):
 
 WEAK = {"mean_kb_per_s": 0.15, "snr": 0.05, "rician_k_factor": 0.0, "queue_median_ms": 300.0, "timeout_s": 2.6}
 # No sum of these is a whole square: no risk ties with a rule's threshold.
-BUSY = {"drift_m2_per_s": [2.0137, 6.0219, 12.0341], "initial_risk_m": 5.0123}
+BUSY = {"rate_m_per_s": [0.4137, 1.2219, 2.4341], "initial_risk_m": 5.0123}
 EAGER = {"threshold_m": 0.5, "min_gap_s": 0.0, "prices": {"bandwidth_m_per_s": 0.2, "delay_m_per_s": 0.2}}
 QUICK_RULES = {
     "period_s": 1.6,
@@ -154,8 +167,14 @@ WORLDS = {
     "paper": ({}, {}),
     "paper rules, much drift": (BUSY, {"threshold_m": 1.0}),
     "weak link": (BUSY | WEAK, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6}),
-    "weak link, no gate": (BUSY | WEAK, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": np.inf}),
-    "gate bites": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0}),
+    "random walk": (BUSY | WEAK | {"model": "random_walk"}, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6}),
+    "integrated": (BUSY | {"model": "integrated"}, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6}),
+    "kalman, weak link": (
+        BUSY | WEAK | {"model": "random_walk"},
+        EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "replaces": False},
+    ),
+    "gate bites": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0, "replaces": False}),
+    "gate of a replacement": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0}),
     "tight budget": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 500.0}),
     "budget of one byte less": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 4 * 96.0 - 1.0}),
     "energy": (

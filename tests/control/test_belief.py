@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from ovibjax.control import belief, client_step
 from ovibjax.control import route_replay as replay
 from ovibjax.control.actions import ACTIONS
-from ovibjax.control.belief import Belief
+from ovibjax.control.belief import Belief, Fix
 from ovibjax.control.client_state import ControlParams, start
-from ovibjax.control.environment import Route, draw, drift_from_paper, make_environment
+from ovibjax.control.drift import DRIFT_MODELS
+from ovibjax.control.environment import Route, draw, make_environment, rates_from_paper
 from tests.control.cases import PREDICTED, controller, environment
 from tests.oracles import control as oracle
 
@@ -21,7 +22,7 @@ number = st.floats(-1.0, 1.0, width=32)
 
 
 def of(error, cov):
-    return Belief(*(jnp.float32(x) for x in (*error, cov[0, 0], cov[0, 1], cov[1, 1])))
+    return Belief(*(jnp.float32(x) for x in (*error, cov[0, 0], cov[0, 1], cov[1, 1], 7.0, 1.0, 0.0)))
 
 
 def parts(b):
@@ -48,7 +49,16 @@ def test_correction_is_the_textbook_update(vectors, shape, predicted, gate):
     distance = innovation @ np.linalg.solve(cov + (0.5 * predicted**2 + 1e-6) * np.eye(2), innovation)
     if abs(distance - gate**2) < 1e-3 * gate**2:
         return  # on the gate itself rounding decides
-    got_error, got_cov = parts(correct(of(error, cov), *map(jnp.float32, (*residual, predicted, gate))))
+    fix = Fix(*map(jnp.float32, (*residual, predicted, 0.6, 0.8)))
+    taken = correct(of(error, cov), fix, True, jnp.float32(gate))
+    got = correct(of(error, cov), fix, False, jnp.float32(gate))
+    got_error, got_cov = parts(got)
+    fresh = (0.0, np.float32(0.6), np.float32(0.8)) if accepted else (7.0, 1.0, 0.0)
+    for after in (got, taken):
+        assert (after.accumulated_m, after.toward_x, after.toward_y) == fresh
+    if accepted:
+        np.testing.assert_array_equal(parts(taken)[0], residual.astype(np.float64))
+        np.testing.assert_allclose(parts(taken)[1], (0.5 * predicted**2 + 1e-6) * np.eye(2), rtol=1e-6)
     # The determinant of a float32 covariance is known to its condition number times the unit roundoff.
     noise = 0.5 * predicted**2
     slack_m = 12.0 * 4e-7 * (max(big, small) + noise) / (min(big, small) + noise)
@@ -62,25 +72,9 @@ def test_correction_is_the_textbook_update(vectors, shape, predicted, gate):
 def test_risk_and_error():
     b = of([3.0, -4.0], np.array([[5.0, 1.0], [1.0, 11.0]]))
     assert float(belief.local_risk_m(b)) == 4.0 and float(belief.error_m(b)) == 5.0
-    start = belief.initial(jnp.float32(3.0), jnp.array([1.0, -2.0]))
+    start = belief.initial(jnp.float32(3.0), jnp.array([1.0, -2.0]), jnp.array([0.0, 1.0]))
     np.testing.assert_allclose(parts(start)[0], 3 / np.sqrt(2) * np.array([1, -2]), rtol=1e-6)
     np.testing.assert_allclose(parts(start)[1], 4.5 * np.eye(2), rtol=1e-6)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.8, 1.0])
-def test_drift_is_the_oracles_and_has_the_covariance_it_states(share):
-    rng = np.random.default_rng(0)
-    normal = rng.normal(size=(20_000, 2)).astype(np.float32)
-    for variance, yaw in ((0.0, 1.0), (2.5, 0.0), (2.5, 0.7), (0.3, -2.0)):
-        count = jnp.full(len(normal), 1.0)
-        steps = belief.drift(variance * count, jnp.float32(share), yaw * count, normal)
-        for row in range(5):
-            one = jax.tree.map(lambda x, row=row: x[row], steps)
-            for got, want in zip(parts(one), oracle.drift(variance, share, yaw, normal[row]), strict=True):
-                np.testing.assert_allclose(got, want, rtol=1e-5, atol=1e-5)
-        errors = np.stack([steps.error_x_m, steps.error_y_m])
-        np.testing.assert_allclose(np.cov(errors), parts(one)[1], atol=0.05 * max(variance, 1e-9))
-    np.testing.assert_allclose(parts(belief.propagate(one, one))[1], 2 * parts(one)[1], rtol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +87,7 @@ def realizations():
 
     def one(key, env, control):
         residual = jax.random.normal(jax.random.fold_in(key, 7), (*predicted.shape, 2)) * predicted[..., None]
-        route = Route(context, yaw, predicted, residual / jnp.sqrt(2.0))
+        route = Route(context, yaw, predicted, predicted, residual / jnp.sqrt(2.0))
         draws = draw(key, route, env, ACTIONS)
         slots_in = replay.slots_of(route, draws, jnp.zeros(slots, bool))
 
@@ -108,19 +102,18 @@ def realizations():
     return lambda env, control: many(jax.random.split(jax.random.key(11), count), env, control)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.95])
+@pytest.mark.parametrize("correction", ["replace", "kalman"])
+@pytest.mark.parametrize("model", DRIFT_MODELS)
 @pytest.mark.parametrize("case", ["no requests", "prompt", "late"])
-def test_risk_is_calibrated(realizations, case, share):
+def test_risk_is_calibrated(realizations, case, model, correction):
     changes = (
         {"mean_kb_per_s": 0.4, "snr": 0.5, "rician_k_factor": 0.0, "queue_median_ms": 400.0} if case == "late" else {}
     )
-    env = environment(drift_m2_per_s=[2.0, 6.0, 12.0], along_share=share, **changes)
+    env = environment(rate_m_per_s=[0.3, 0.9, 1.8], model=model, **changes)
     control = controller(
-        threshold_m=0.5,
-        min_gap_s=1.0,
-        gate_sigma=np.inf,
         budget_bytes=0.0 if case == "no requests" else 1e9,
-        prices={"bandwidth_m_per_s": 0.3, "delay_m_per_s": 0.3},
+        prices=dict.fromkeys(("bandwidth_m_per_s", "delay_m_per_s"), 0.3 if case == "late" else 8.0),
+        replaces=correction == "replace",
     )
     beliefs, info = realizations(env, control)
     beliefs, info = (jax.tree.map(lambda x: np.asarray(x, np.float64), part) for part in (beliefs, info))
@@ -145,21 +138,18 @@ def test_risk_is_calibrated(realizations, case, share):
     )
     for product, cov in pairs:
         assert product.mean() == pytest.approx(cov.mean(), abs=0.03 * scale)
-    assert share == 0.5 or beliefs.cov_xy_m2.mean() > 0.1 * scale  # the heading leaves its mark
+    assert model != "random_walk" or requests or beliefs.cov_xy_m2.mean() > 0.1 * scale  # the heading leaves its mark
 
 
 def test_draws_have_the_stated_distribution():
     slots = 20_000
     context = np.tile([0, 1, 2, 2], slots // 4).astype(np.int32)
     flat = jnp.zeros((slots, 1))
-    route = Route(context, jnp.full(slots, 0.3), flat, flat)
-    env = environment(drift_m2_per_s=[1.0, 4.0, 9.0], queue_sigma=0.5)
+    route = Route(context, jnp.full(slots, 0.3), flat, flat, flat)
+    env = environment(rate_m_per_s=[1.0, 4.0, 9.0], queue_sigma=0.5)
     draws = jax.tree.map(np.asarray, jax.jit(draw, static_argnames="actions")(jax.random.key(3), route, env, ACTIONS))
-    up = draws.increment
     for c, rate in enumerate((1.0, 4.0, 9.0)):
-        rows = context == c
-        np.testing.assert_allclose((up.cov_xx_m2 + up.cov_yy_m2)[rows], rate * 0.5, rtol=1e-5)
-        assert (up.error_x_m**2 + up.error_y_m**2)[rows].mean() == pytest.approx(rate * 0.5, rel=0.06)
+        np.testing.assert_allclose(draws.odometry.advance_m[context == c], rate * 0.5, rtol=1e-5)
     assert draws.rate_bps.mean() == pytest.approx(8 * 8192, rel=0.02) and draws.rate_bps.std() > 0
     # Client and edge: the report is one slot old; 20 ms median wait, service about 16 ms, 5 ms to return.
     service = np.array([1.2 + 0.4 * views for views in (1, 1, 3, 3, 4, 4, 5, 5)]) + 3.1 + 5.2 + 4.0
@@ -180,9 +170,9 @@ def test_draws_have_the_stated_distribution():
 @given(st.tuples(*[st.floats(0.01, 1.0)] * 3))
 def test_drift_spends_the_papers_budget(weights):
     share = np.array(weights) / sum(weights)
-    rates = np.asarray(drift_from_paper(share), np.float64)
-    # 22 requests, each from 36 to 9 m^2, over 593 slots of half a second.
-    assert rates @ share * 593 * 0.5 == pytest.approx(22 * (36 - 9), rel=1e-5)
+    rates = np.asarray(rates_from_paper(share), np.float64)
+    # 22 requests, between which sqrt(36 - 9) m are added, over 593 slots of half a second.
+    assert rates @ share * 593 * 0.5 == pytest.approx(22 * (36 - 9) ** 0.5, rel=1e-5)
     np.testing.assert_allclose(rates / rates[0], np.array([0.5, 5.7, 14.0]) / 0.5, rtol=1e-5)
-    scaled = make_environment(share, drift_scale=2.0).drift_m2_per_s
+    scaled = make_environment(share, drift_scale=2.0).drift.rate_m_per_s
     np.testing.assert_allclose(scaled, 2 * rates, rtol=1e-5)

@@ -132,8 +132,7 @@ def test_ground_vehicle():
 
 
 LEAVES = {
-    "threshold_m": [0.0, 1.0, 2.5],
-    "min_gap_s": [0.0, 1.0, 4.0],
+    "replaces": [True, False, False],
     "budget_bytes": [0.0, 400.0, 2150.0],
     "gate_sigma": [0.5, 3.0, np.inf],
     "bandwidth_m_per_s": [0.0, 3.0, 30.0],
@@ -153,7 +152,7 @@ def test_vmap_equals_loop_for_keys_and_every_swept_leaf():
     env = environment(**(BUSY | {"mean_kb_per_s": 0.5}))
     base = controller(**(EAGER | {"energy_j": [0.25] * 8, "energy_budget_j": 100.0}))
     route = make_route(5)
-    rows = [(0, with_leaf(base, name, jnp.float32(value))) for name, values in LEAVES.items() for value in values]
+    rows = [(0, with_leaf(base, name, jnp.asarray(value))) for name, values in LEAVES.items() for value in values]
     rows += [(seed, base) for seed in range(1, 4)]
     keys = jnp.stack([jax.random.key(seed) for seed, _ in rows])
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[control for _, control in rows])

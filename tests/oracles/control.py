@@ -16,25 +16,49 @@ def action_list(modes=("F", "FS", "H4", "A5"), prefixes=(16, 32)):
     return [(mode, k, 4 * k + 20 + 4 * VIEWS[mode]) for mode in modes for k in prefixes]
 
 
-def drift(variance, along_share, yaw, normal):
-    """Error and covariance of one slot of odometry, in the frame of travel, turned by the heading."""
+def walk(along_share, yaw, normal):
+    """Increment of a random walk of unit mean square and its covariance, drawn in the frame of travel."""
     turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    local = np.diag([variance * along_share, variance * (1 - along_share)])
+    local = np.diag([along_share, 1 - along_share])
     return turn @ (np.sqrt(np.diag(local)) * normal), turn @ local @ turn.T
 
 
-def kalman(error, cov, residual, predicted, gate):
+def drifted(belief, t, draws, drift):
+    """A belief (error, covariance, metres accumulated since the correction, direction) after the odometry of slot t."""
+    error, cov, accumulated, toward = belief
+    scale, power = drift["scale"], drift["power"]
+    after = accumulated + draws["advance"][t]
+    root_before, root_after = (scale * (s / scale) ** power for s in (accumulated, after))
+    growth = root_after**2 - root_before**2
+    if drift["walks"]:
+        error = error + math.sqrt(growth) * draws["walk"][t]
+    else:
+        error = error + (root_after - root_before) * toward
+    return error, cov + growth * draws["walk_cov"][t], after, toward
+
+
+def kalman(error, cov, residual, spread, gate):
     """Textbook update with a position measurement; errors are estimate minus truth.
 
-    A predicted residual of zero counts as a measurement within a millimetre.
+    A spread of zero counts as a measurement within a millimetre.
     """
-    noise = (0.5 * predicted**2 + 1e-6) * np.eye(2)
+    noise = (0.5 * spread**2 + 1e-6) * np.eye(2)
     innovation = residual - error
     total = cov + noise
     if innovation @ np.linalg.solve(total, innovation) > gate**2:
         return error, cov, False
     gain = cov @ np.linalg.inv(total)
     return error + gain @ innovation, (np.eye(2) - gain) @ cov, True
+
+
+def correct(belief, residual, spread, toward, control):
+    """A belief after a position from the edge, and whether it passed the gate."""
+    error, cov, accepted = kalman(belief[0], belief[1], residual, spread, control["gate"])
+    if not accepted:
+        return belief, False
+    if control["replaces"]:
+        error, cov = residual, (0.5 * spread**2 + 1e-6) * np.eye(2)
+    return (error, cov, 0.0, toward), True
 
 
 def net_voi(risk, residual, size, rate, delay, energy, prices):
@@ -74,11 +98,12 @@ def decide(policy, t, seen, control, actions):
         )
         for a, (_, _, size) in enumerate(actions)
     ]
-    if policy == "voi":
+    if policy in ("voi", "voi_gap"):
+        threshold, gap = (control["threshold"], control["gap"]) if policy == "voi_gap" else (0.0, 0.0)
         action = best(values, allowed)
-        if action is None or waiting or since < control["gap"] - 1e-6:
+        if action is None or waiting or since < gap - 1e-6:
             return None
-        return action if values[action] > max(control["threshold"], 0.0) else None
+        return action if values[action] > max(threshold, 0.0) else None
     if policy == "oracle_action":
         costs = [max(risk - seen["predicted"][a], 0.0) - value for a, value in enumerate(values)]
         return best([-seen["realised"][a] - cost for a, cost in enumerate(costs)], allowed) if seen["due"] else None
@@ -93,24 +118,24 @@ def decide(policy, t, seen, control, actions):
 
 def follow(policy, draws, route, env, control, actions, due):
     """Replay one policy whose planned slots are the set `due`; a dict of per-slot lists."""
-    error, cov = np.array(draws["start_error"]), np.array(draws["start_cov"])
+    belief = np.array(draws["start_error"]), np.array(draws["start_cov"]), 0.0, np.array(draws["start_toward"])
     coming, arrives, last = None, None, None
     sent_bytes, used = 0.0, 0.0
     out = {name: [] for name in ("sent", "action", "payload", "error", "risk_before", "risk", "latency", "voi")}
     out |= {"accepted": [], "lost": [], "superseded": [], "flight": []}
     for t in range(len(draws["rate"])):
-        error, cov = error + draws["drift_error"][t], cov + draws["drift_cov"][t]
+        belief = drifted(belief, t, draws, env["drift"])
         if coming is not None:
-            coming = coming[0] + draws["drift_error"][t], coming[1] + draws["drift_cov"][t]
+            coming = drifted(coming, t, draws, env["drift"])
             if arrives == t:
-                (error, cov), coming = coming, None
+                belief, coming = coming, None
         fits = [
             control["available"][a]
             and used + control["energy"][a] <= control["energy_budget"]
             and (policy == "oracle_action" or sent_bytes + size <= control["budget"])
             for a, (_, _, size) in enumerate(actions)
         ]
-        risk = math.sqrt(np.trace(cov))
+        risk = math.sqrt(np.trace(belief[1]))
         seen = {
             "risk": risk,
             "waiting": coming is not None,
@@ -135,14 +160,12 @@ def follow(policy, draws, route, env, control, actions, due):
             latency = draws["latency"][t][action] + (8 * size / rate if rate > 0 else math.inf)
             lost = latency > env["timeout_s"]
             predicted, measured = route["predicted"][t][action], route["residual"][t][action]
-            new_error, new_cov, accepted = kalman(error, cov, measured, predicted, control["gate"])
-            if lost:
-                new_error, new_cov = error, cov
+            corrected, accepted = correct(belief, measured, route["spread"][t][action], draws["toward"][t], control)
             flight = math.floor(min(latency, env["timeout_s"]) / env["slot_s"])
             out["superseded"].append(coming is not None)
-            coming, arrives, last = (new_error, new_cov), t + flight, t
+            coming, arrives, last = belief if lost else corrected, t + flight, t
             if flight == 0:
-                (error, cov), coming = coming, None
+                belief, coming = coming, None
             sent_bytes, used = sent_bytes + size, used + control["energy"][action]
             voi = net_voi(
                 risk, predicted, size, rate, draws["delay"][t][action], control["energy"][action], control["prices"]
@@ -150,13 +173,13 @@ def follow(policy, draws, route, env, control, actions, due):
             values = {"action": action, "payload": size, "latency": latency, "voi": voi, "flight": flight}
             for name, value in (values | {"accepted": accepted, "lost": lost}).items():
                 out[name].append(value)
-        out["error"].append(float(np.linalg.norm(error)))
-        out["risk"].append(math.sqrt(np.trace(cov)))
+        out["error"].append(float(np.linalg.norm(belief[0])))
+        out["risk"].append(math.sqrt(np.trace(belief[1])))
     return {name: np.array(values) for name, values in out.items()}
 
 
 def replay(policy, draws, route, env, control, actions):
-    """Replay any of the seven policies; those that follow VOI-Control replay it first."""
+    """Replay any of the policies; those that follow VOI-Control replay it first."""
     asked = []
     if policy in FOLLOW_VOI:
         asked = np.flatnonzero(follow("voi", draws, route, env, control, actions, set())["sent"]).tolist()

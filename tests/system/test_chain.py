@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ovibjax.control.actions import ActionSet, SweptActions
-from ovibjax.control.predictor import fit_predictor, predictor_of_known
+from ovibjax.control.predictor import fit_predictor, fit_spread
 from ovibjax.control.residuals import encode_views, residuals_m
 from ovibjax.edge.service import EDGE
 from ovibjax.encoder.checkpoint import Checkpoint
@@ -53,8 +53,9 @@ def made(scene):
     arch = replace(static.train.arch, latent=16, hidden=24, last_hidden=16)
     static = replace(static, train=replace(static.train, arch=arch, prefixes=(4, 8, 16)), requests=SLOTS)
     # Eager clients, so that there is something to conserve.
-    control = data.control._replace(threshold_m=jnp.float32(0.0), min_gap_s=jnp.float32(2.0))
-    env = data.env._replace(drift_m2_per_s=30.0 * data.env.drift_m2_per_s)
+    control = data.control._replace(prices=data.control.prices._replace(bandwidth_m_per_s=jnp.float32(2.0)))
+    drift = data.env.drift._replace(rate_m_per_s=6.0 * data.env.drift.rate_m_per_s)
+    env = data.env._replace(drift=drift)
     return data._replace(control=control, env=env), static
 
 
@@ -119,14 +120,9 @@ def test_residuals_and_g_psi_are_those_of_the_control_study(made, staged):
     realised = residuals_m(checkpoint, x, positions_m, np.asarray(data.references), actions)
     np.testing.assert_allclose(routes.residual_m, realised[np.asarray(data.routes)], atol=1e-4)
     known, context = np.asarray(data.known), np.asarray(data.context)
-    predictor = fit_predictor(np.linalg.norm(realised[known], axis=-1), context[known], 3)
-    np.testing.assert_allclose(routes.predicted_m, predictor[context[np.asarray(data.routes)]], atol=1e-4)
-
-
-def test_a_context_that_training_never_met_has_the_median_over_all():
-    residual_m = jnp.arange(10.0)[:, None]
-    context, known = jnp.array([0] * 5 + [1] * 5), jnp.arange(10) < 5
-    np.testing.assert_allclose(predictor_of_known(residual_m, context, known, 2), [[2.0], [2.0]])
+    seen, rows = (np.linalg.norm(realised[known], axis=-1), context[known], 3), context[np.asarray(data.routes)]
+    np.testing.assert_allclose(routes.predicted_m, fit_predictor(*seen)[rows], atol=1e-4)
+    np.testing.assert_allclose(routes.spread_m, fit_spread(*seen)[rows], atol=1e-3)
 
 
 @pytest.mark.long
