@@ -94,8 +94,13 @@ def chosen(values: Sequence[Any], action: jax.Array) -> jax.Array:
 
 def voi(seen: Observation, control: Controller, actions: ActionSet) -> Decision:
     """VOI-Control: the action with the highest net VOI, if that is positive (eq. "action"); one request at a time."""
-    action, value = highest(net_values(seen, control, actions), seen.allowed)
-    return Decision((value > 0.0) & ~seen.waiting, action)
+    return voi_gap(seen, as_written(control), actions)
+
+
+def as_written(control: Controller) -> Controller:
+    """A controller without threshold and gap, with which `voi_gap` is `voi`."""
+    zero = jnp.zeros_like(control.threshold_m)
+    return control._replace(threshold_m=zero, min_gap_s=zero)
 
 
 def voi_gap(seen: Observation, control: Controller, actions: ActionSet) -> Decision:

@@ -12,6 +12,7 @@ from ovibjax.control.actions import ActionSet
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.controller import Controller, make_controller
 from ovibjax.control.environment import Draws, Environment, Route
+from ovibjax.control.policies import as_written
 from ovibjax.control.route_summary import Summary, score
 from ovibjax.control.voi import Prices
 
@@ -63,6 +64,27 @@ def search(
         return jax.vmap(lambda control: score(draws, route, policy, ControlParams(env, control), actions))(tried)
 
     return jax.vmap(jax.vmap(one, (0, None)))(draws, routes)
+
+
+def search_variants(
+    draws: Draws, routes: Route, env: Environment, tried: Controller, actions: ActionSet
+) -> dict[str, Summary]:
+    """`search` of VOI-Control and of its variant with a threshold and a gap, in one scan.
+
+    Args:
+        draws: [R, S, ...] a realization per route and seed.
+        routes: [R, T, ...] routes.
+        env: the environment.
+        tried: [C] candidates.
+        actions: the action set (static).
+
+    Returns:
+        Fields [routes, seeds, candidates] by policy.
+    """
+    both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), as_written(tried), tried)
+    found = search(draws, routes, env, both, "voi_gap", actions)
+    halves = jax.tree.map(lambda leaf: tuple(jnp.split(leaf, 2, axis=-1)), found)
+    return {name: Summary(*(pair[i] for pair in halves)) for i, name in enumerate(("voi", "voi_gap"))}
 
 
 def lowest_risk(searched: Summary, budget_kb: jax.Array) -> jax.Array:

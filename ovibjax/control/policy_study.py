@@ -19,8 +19,8 @@ from ovibjax.control.controller import Controller, FixedRules
 from ovibjax.control.drift import Drift
 from ovibjax.control.environment import Draws, Environment, Route, draw
 from ovibjax.control.planning import plan
-from ovibjax.control.policies import POLICIES
-from ovibjax.control.policy_search import lowest_risk, search, take
+from ovibjax.control.policies import POLICIES, as_written
+from ovibjax.control.policy_search import lowest_risk, search, search_variants, take
 from ovibjax.control.route_replay import RouteResult, replay_schedule
 from ovibjax.control.route_summary import Summary, score, summarize
 
@@ -131,10 +131,9 @@ def study(
 
         draws = jax.vmap(of_route)(*tuned_on)  # drawn once for the three searches
         uncapped = tried._replace(budget_bytes=jnp.full_like(tried.budget_bytes, jnp.inf))
-        searched, best = {}, {}
-        for policy in ("voi", "voi_gap", "uncertainty"):
-            searched[policy] = search(draws, tuned_on.routes, world, uncapped, policy, actions)
-            best[policy] = lowest_risk(searched[policy], setting.budget_kb)
+        searched = search_variants(draws, tuned_on.routes, world, uncapped, actions)
+        searched["uncertainty"] = search(draws, tuned_on.routes, world, uncapped, "uncertainty", actions)
+        best = {policy: lowest_risk(result, setting.budget_kb) for policy, result in searched.items()}
         found = {policy: take(tried._replace(budget_bytes=budget), index) for policy, index in best.items()}
         control, gap_control = (found[policy]._replace(rules=rules) for policy in ("voi", "voi_gap"))
         tuned = found["uncertainty"].rules
@@ -192,15 +191,16 @@ def replay_every_policy(
     """`compare` on one route and realization."""
     env, control = params
     none = jnp.zeros(draws.rate_bps.shape, bool)
-    results = {
-        "voi": replay_schedule(draws, route, "voi", none, params, actions),
-        "voi_gap": replay_schedule(draws, route, "voi_gap", none, ControlParams(env, gap_control), actions),
-    }
-    sent = results["voi"].sent
 
     def by_name(names: tuple[str, ...], histories: RouteResult) -> dict[str, RouteResult]:
         return {name: jax.tree.map(lambda h, i=i: h[i], histories) for i, name in enumerate(names)}
 
+    def by_value(chosen: Controller) -> RouteResult:
+        return replay_schedule(draws, route, "voi_gap", none, ControlParams(env, chosen), actions)
+
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), as_written(control), gap_control)
+    results = by_name(("voi", "voi_gap"), jax.vmap(by_value)(both))
+    sent = results["voi"].sent
     # The three that send one fixed action at planned slots are one scan.
     together = ("periodic", "budgeted_periodic", "random")
     planned = jnp.stack([plan(draws, policy, params, sent) for policy in together])
