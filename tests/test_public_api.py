@@ -40,8 +40,9 @@ PUBLIC = {
         write_csv write_page""",
     "ovibjax.runtime": """PRECISIONS cache_folder faster_precision in_order in_threads keep_compiled_programs
         progress_bar workers""",
-    "ovibjax.scheduling": """LEVELS POLICIES RequestTrace SchedulerParams Weights default_params default_trace_params
-        make_trace metrics recorded_events replay replay_coupled run_grid solve synthetic_events""",
+    "ovibjax.scheduling": """LEVELS POLICIES RequestTrace SchedulerParams TIES Weights default_params
+        default_trace_params make_trace metrics recorded_events replay replay_coupled run_grid solve
+        synthetic_events""",
     "ovibjax.sweep": "Along Axis Interrupted best config_of on_ray open_dataset run take tree_of",
     "ovibjax.system": "DIMS HYPERS SystemConfig SystemData SystemSize along make_system run sweep_system",
     "ovibjax.world": """Camera RoomConfig TownConfig contact_sheet context_labels make_room make_route make_town

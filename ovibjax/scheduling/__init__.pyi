@@ -13,10 +13,12 @@ from .rules import SchedulerParams as SchedulerParams
 from .rules import Weights as Weights
 from .rules import default_params as default_params
 from .slotted import solve as solve
+from .ties import TIES as TIES
 
 __all__ = [
     "LEVELS",
     "POLICIES",
+    "TIES",
     "RequestTrace",
     "SchedulerParams",
     "Weights",

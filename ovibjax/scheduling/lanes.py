@@ -15,6 +15,7 @@ from ovibjax.scheduling.lane_list import SLOTS, LaneState, ListedRequests, admit
 from ovibjax.scheduling.queue_replay import served_order, to_trace_order
 from ovibjax.scheduling.requests import NEVER, Requests
 from ovibjax.scheduling.rules import SchedulerParams, scheduling_value, term_scales, timing, weighted_sum
+from ovibjax.scheduling.ties import tie_order
 
 _SIZES = (1, 2, 3, 4, 6, 8, 12, 16, SLOTS)
 
@@ -134,7 +135,7 @@ def _shaped_choice(
             high[i] = jax.lax.select(term > high[i], term, high[i])
         terms.append((fixed[0], fixed[1], *timed, fixed[2]))
     scales = term_scales(low, high, params.weights)
-    return _first_best([weighted_sum(term, scales) for term in terms])
+    return _first_best([weighted_sum(term, scales) for term in terms], slots, params.ties)
 
 
 def _head_of_line_choice(
@@ -156,16 +157,19 @@ def _head_of_line_choice(
         backlog = jax.lax.population_count(pending).astype(jnp.float32)
         eligible = (pending & bit(number) != 0) & (earlier == 0)
         priorities.append(jnp.where(eligible, backlog + params.V * slot.voi_m, -jnp.inf))
-    return _first_best(priorities)
+    return _first_best(priorities, slots, params.ties)
 
 
-def _first_best(priorities: list[jax.Array]) -> jax.Array:
-    """First slot of the largest priority; NaN never wins."""
+def _first_best(priorities: list[jax.Array], slots: list[ListedRequests], ties: jax.Array) -> jax.Array:
+    """Slot of the largest priority, among equals as `ties.served_first` has it; NaN never wins."""
     best = jnp.full_like(priorities[0], -jnp.inf)
-    chosen = jnp.zeros(best.shape, jnp.int32)
-    for number, priority in enumerate(priorities):
-        better = priority > best
+    chosen, least = jnp.zeros(best.shape, jnp.int32), jnp.zeros(best.shape, jnp.int32)
+    for number, (priority, slot) in enumerate(zip(priorities, slots, strict=True)):
+        # Slots are in the order of arrival.
+        order = tie_order(slot.client, number, ties)
+        better = (priority > best) | ((priority == best) & (order < least))
         best = jax.lax.select(better, priority, best)
+        least = jax.lax.select(better, order, least)
         chosen = jax.lax.select(better, jnp.full_like(chosen, number), chosen)
     return chosen
 

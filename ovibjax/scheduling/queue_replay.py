@@ -1,7 +1,8 @@
 """Replay of a request trace through one edge server (paper, Section "Multi-Client Scheduling").
 
 One work-conserving, non-preemptive server takes one request at a time. When it is free it serves the waiting request of
-highest priority, and when none waits its clock jumps to the next arrival. A request waits from the tick of its arrival.
+highest priority (of equals as `ties` says), and when none waits its clock jumps to the next arrival. A request waits
+from the tick of its arrival.
 """
 
 from functools import partial
@@ -15,6 +16,7 @@ from ovibjax.errors import InputError
 from ovibjax.scheduling.requests import NEVER, Numbers, Requests, RequestTrace, check, is_concrete
 from ovibjax.scheduling.rules import BY_CLIENT, POLICIES, RULES, Queue, SchedulerParams, default_params
 from ovibjax.scheduling.ticks import SplitTrace, sort_requests, split_times
+from ovibjax.scheduling.ties import served_first
 
 __all__ = ["POLICIES", "ReplayResult", "RequestTrace", "default_params", "replay", "served_order", "waits"]
 
@@ -154,9 +156,10 @@ def served_by(requests: Requests, rules: tuple[str, ...], which: jax.Array, para
         shown: Requests = jax.tree.map(part, requests)
         waiting = (part(state.start) < 0) & (shown.ready <= state.clock)
         head = waiting & ((shown.previous < 0) | (state.start[shown.previous] >= 0))
-        queue = Queue(shown, state.clock, waiting, head, state.pending[shown.group].astype(jnp.float32))
+        backlog = state.pending[shown.group].astype(jnp.float32)
+        queue = Queue(shown, state.clock, waiting, head, backlog, jnp.arange(width, dtype=jnp.int32))
         priority = jax.lax.switch(which, choices, queue, params) if len(choices) > 1 else choices[0](queue, params)
-        return offset + jnp.argmax(priority).astype(jnp.int32)
+        return offset + served_first(priority, shown.client, queue.arrival, params.ties)
 
     def admit(state: _State) -> _State:
         """Count the request that arrives next."""

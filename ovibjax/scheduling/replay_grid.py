@@ -26,7 +26,7 @@ _LANES = 1024
 _FEW_LANES = 16  # fewer settings are replayed one by one, which compiles less
 
 SWEPT = ("base_dpp", "voi_lyapunov")
-"""Rules that have parameters."""
+"""Rules that have numbers of their own, of which grids are large: many settings go side by side."""
 
 Summarize = Callable[[Any, jax.Array, SchedulerParams], Any]
 
@@ -97,7 +97,8 @@ def _share(traces: RequestTrace, context: Any, params: SchedulerParams, block: A
     shapes = {jnp.shape(leaf) for leaf in jax.tree.leaves(params)} - {()}
     if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
         raise InputError(f"parameters have shapes {sorted(shapes)}; each must be a scalar or of one common length")
-    params = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), params)
+    ties = jnp.asarray(params.ties, jnp.int32)
+    params = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), params)._replace(ties=ties)
     # Inside a program that already shares its work among the devices, each has its part.
     shared_already = bool(jax.sharding.get_abstract_mesh().axis_names)
     return _among_devices(
@@ -193,20 +194,25 @@ def _chosen(params: SchedulerParams, index: jax.Array) -> SchedulerParams:
     return chosen
 
 
+def _orders(rule: str, params: SchedulerParams) -> bool:
+    """Whether the order of service depends on a number that is swept."""
+    own = {"fifo": (), "base_dpp": (params.V, params.ties), "voi_lyapunov": (params.weights, params.value, params.ties)}
+    return any(leaf.ndim for leaf in jax.tree.leaves(own.get(rule, params.ties)))
+
+
 def _concerns(rule: str, params: SchedulerParams) -> bool:
     """Whether a replay or its judgement depends on a number that is swept."""
-    used = {"base_dpp": params.V, "voi_lyapunov": params.weights}.get(rule)
-    return any(leaf.ndim for leaf in jax.tree.leaves((used, params.value)))
+    return _orders(rule, params) or any(leaf.ndim for leaf in params.value)
 
 
 def _one_by_one(requests: Requests, params: SchedulerParams, policy: str, n_lanes: int) -> jax.Array:
-    """Waits [L, J] by the plain replay; once for all lanes where the rule has no parameter."""
+    """Waits [L, J] by the plain replay; once for all lanes where nothing that is swept changes the order."""
 
     def waits(chosen: SchedulerParams) -> jax.Array:
         return to_trace_order(requests, served_order(requests, policy, chosen))
 
     every = broadcast_params(params, n_lanes)
-    if policy in SWEPT:
+    if _orders(policy, params):
         return jax.lax.map(waits, every)
     once = waits(jax.tree.map(lambda leaf: leaf[0], every))
     return jnp.broadcast_to(once[None], (n_lanes, once.size))

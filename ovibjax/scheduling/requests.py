@@ -62,8 +62,7 @@ class Requests(NamedTuple):
         slack: [J] float32 ticks, relative deadline less estimated service time.
         per_deadline: [J] float32, one over the relative deadline in ticks.
         service_est_ms: [J] float32.
-        due: [J] float32, rank of the absolute deadline, first is 0; equal deadlines share none: the earlier arrival
-            comes first.
+        due: [J] float32, dense rank of the absolute deadline, the first is 0; equal deadlines share one.
         voi_m: [J] float32.
         drift_m_per_s: [J] float32.
         risk_m: [J] float32.

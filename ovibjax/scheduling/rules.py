@@ -1,6 +1,6 @@
 """Five rules for the next request to serve (paper, Section "VOI-Weighted Edge Scheduling").
 
-A rule gives every request a priority; the server takes the largest, the earlier arrival among equals. FIFO, EDF and
+A rule gives every request a priority; the server takes the largest, among equals as `ties` says. FIFO, EDF and
 VOI-Lyapunov choose among all waiting requests, MaxWeight and Base-DPP among each client's head of line.
 """
 
@@ -10,7 +10,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ovibjax.errors import InputError
 from ovibjax.scheduling.requests import Requests
+from ovibjax.scheduling.ties import TIES
 
 PAPER_V = 8.0
 """Weight of the VOI against the backlog in Base-DPP (paper, Section "Multi-Client Scheduling")."""
@@ -65,11 +67,13 @@ class SchedulerParams(NamedTuple):
         V: weight of the VOI against the backlog in Base-DPP.
         weights: weights of VOI-Lyapunov.
         value: coefficients of its scheduling value.
+        ties: int32 index into `TIES`, who is served among requests of equal priority.
     """
 
     V: jax.Array
     weights: Weights
     value: ValueCoefficients
+    ties: jax.Array
 
 
 class Queue(NamedTuple):
@@ -81,6 +85,7 @@ class Queue(NamedTuple):
         waiting: [W] bool, arrived and not served.
         head: [W] bool, head of its client's line.
         backlog: [W] float32, waiting requests Q of its client, itself included; for rules of `BY_CLIENT`.
+        arrival: [W] int32, place in the order of arrival, no two the same.
     """
 
     requests: Requests
@@ -88,17 +93,31 @@ class Queue(NamedTuple):
     waiting: jax.Array
     head: jax.Array
     backlog: jax.Array
+    arrival: jax.Array
 
 
 Rule = Callable[[Queue, SchedulerParams], jax.Array]
 
 
-def default_params() -> SchedulerParams:
-    """The paper's numbers: V = 8, weights (3.2, 1.2, 1.2, 1.4, 0.6, 0.1), value (0.1, 1.8, 0.22, 0.006)."""
+def default_params(ties: str = "arrival") -> SchedulerParams:
+    """The paper's numbers: V = 8, weights (3.2, 1.2, 1.2, 1.4, 0.6, 0.1), value (0.1, 1.8, 0.22, 0.006).
+
+    Args:
+        ties: one of `TIES`; the paper does not say which.
+
+    Returns:
+        Scalars.
+
+    Raises:
+        InputError: another word for ties.
+    """
+    if ties not in TIES:
+        raise InputError(f"ties {ties!r} is unknown; it must be one of {', '.join(TIES)}")
     return SchedulerParams(
         V=jnp.float32(PAPER_V),
         weights=Weights(*map(jnp.float32, PAPER_WEIGHTS)),
         value=ValueCoefficients(*map(jnp.float32, PAPER_VALUE)),
+        ties=jnp.int32(TIES.index(ties)),
     )
 
 
@@ -181,7 +200,7 @@ def _among(candidates: jax.Array, priority: jax.Array) -> jax.Array:
 
 
 def fifo(queue: Queue, params: SchedulerParams) -> jax.Array:
-    """First in, first out: all waiting requests are equal, and the earliest wins.
+    """First in, first out; no two requests tie: equal arrival times go by their order in the trace, whatever `ties`.
 
     Args:
         queue: the queue.
@@ -191,11 +210,11 @@ def fifo(queue: Queue, params: SchedulerParams) -> jax.Array:
         [W] float32 priority, -inf where a request may not be served.
     """
     del params
-    return _among(queue.waiting, jnp.zeros(queue.waiting.shape, jnp.float32))
+    return _among(queue.waiting, -queue.arrival.astype(jnp.float32))
 
 
 def edf(queue: Queue, params: SchedulerParams) -> jax.Array:
-    """Earliest absolute deadline first; arguments and result as in `fifo`."""
+    """Earliest absolute deadline first, equal ones tie; arguments and result as in `fifo`."""
     del params
     return _among(queue.waiting, -queue.requests.due)
 

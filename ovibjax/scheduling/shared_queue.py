@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from ovibjax.control.environment import SLOT_S
 from ovibjax.scheduling.requests import NEVER, Requests
 from ovibjax.scheduling.rules import RULES, Queue, SchedulerParams
+from ovibjax.scheduling.ties import served_first
 
 _TICKS_PER_MS = 1024.0
 _FASTEST_SERVICE_MS = 10.0
@@ -80,6 +81,8 @@ def serve_slot(
     n = pool.waiting.shape[0]
     # No more services begin in a slot of the paper's length; a longer one would serve less than it could.
     decisions = min(n, int(1000.0 * SLOT_S / _FASTEST_SERVICE_MS))
+    # Equal arrival times go by client.
+    arrival = jnp.argsort(jnp.argsort(pool.ready_ms)).astype(jnp.int32)
 
     def serve(carry: Any, _: None) -> Any:
         waiting, finish_ms, free_ms = carry
@@ -87,9 +90,9 @@ def serve_slot(
         clock_ms = jnp.maximum(free_ms, earliest)
         arrived = waiting & (pool.ready_ms <= clock_ms)
         active = jnp.any(waiting) & (clock_ms < slot_ms)
-        priority = RULES[scheduler](_queue(pool, arrived, clock_ms, mission), params)
-        first = arrived & (priority == jnp.max(priority))
-        chosen = jnp.argmin(jnp.where(first, pool.ready_ms, jnp.inf))
+        queue = _queue(pool, arrived, arrival, clock_ms, mission)
+        priority = RULES[scheduler](queue, params)
+        chosen = served_first(priority, queue.requests.client, arrival, params.ties)
         end_ms = clock_ms + pool.service_ms[chosen]
         taken = (jnp.arange(n) == chosen) & active
         return (waiting & ~taken, jnp.where(taken, end_ms, finish_ms), jnp.where(active, end_ms, free_ms)), None
@@ -99,7 +102,7 @@ def serve_slot(
     return finish_ms, pool._replace(waiting=waiting), free_ms
 
 
-def _queue(pool: Pool, arrived: jax.Array, clock_ms: jax.Array, mission: Mission) -> Queue:
+def _queue(pool: Pool, arrived: jax.Array, arrival: jax.Array, clock_ms: jax.Array, mission: Mission) -> Queue:
     """The pool as scheduling rules see it."""
     n = arrived.shape[0]
     ready = jnp.clip(pool.ready_ms * _TICKS_PER_MS, -1e9, 1e9).astype(jnp.int32)
@@ -129,4 +132,5 @@ def _queue(pool: Pool, arrived: jax.Array, clock_ms: jax.Array, mission: Mission
         waiting=arrived,
         head=arrived,
         backlog=arrived.astype(jnp.float32),
+        arrival=arrival,
     )

@@ -151,11 +151,15 @@ def _ticks(time: Split, shift: jax.Array) -> jax.Array:
 
 
 def _due_rank(trace: SplitTrace) -> jax.Array:
-    """Rank of absolute deadlines, from their exact sums."""
+    """Dense rank of absolute deadlines, from their exact sums: only equal ones share a rank."""
     fine = trace.ready.fine + trace.deadline.fine
     whole = trace.ready.whole + trace.deadline.whole + (fine >> _FINE)
-    order = jnp.lexsort((fine & (_FINE_PER_MS - 1), whole, ~trace.valid))
-    return jnp.argsort(order).astype(jnp.float32)
+    due = Split(whole, fine & (_FINE_PER_MS - 1))
+    order = jnp.lexsort((due.fine, due.whole, ~trace.valid))
+    whole, fine = due.whole[order], due.fine[order]
+    later = (whole[1:] != whole[:-1]) | (fine[1:] != fine[:-1])
+    rank = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(later, dtype=jnp.int32)])
+    return rank[jnp.argsort(order)].astype(jnp.float32)
 
 
 def _same_client(client: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -44,6 +44,7 @@ from ovibjax.scheduling.replay_grid import run_grid
 from ovibjax.scheduling.requests import RequestTrace
 from ovibjax.scheduling.rules import SchedulerParams, Weights, default_params, scheduling_value
 from ovibjax.scheduling.ticks import sort_requests, split_times
+from ovibjax.scheduling.ties import TIES
 from tests.oracles import scheduling as oracle
 
 CLIENTS, EVENTS, RATE_KB_PER_S = 30, 22, 4.0
@@ -216,7 +217,9 @@ def numba_fifo(ready, service, position, tick_ms, out):  # type: ignore[no-untyp
             clock += service[r, j]
 
 
-def simpy_replay(trace: RequestTrace, policy: str, V: float, weights: tuple[float, ...]) -> np.ndarray:
+def simpy_replay(
+    trace: RequestTrace, policy: str, V: float, weights: tuple[float, ...], ties: str = "arrival"
+) -> np.ndarray:
     """One replay in SimPy, waits [J]: arrivals and the server are processes, priorities are recomputed per decision."""
     requests = oracle.requests_of(trace)
     waits = np.full(len(trace.valid), np.nan)
@@ -237,10 +240,9 @@ def simpy_replay(trace: RequestTrace, policy: str, V: float, weights: tuple[floa
                 yield bell[0]
             # Arrivals of this very instant come first.
             yield environment.timeout(0)
-            queue.sort(key=lambda request: (request["ready_ms"], request["index"]))
             priority = oracle.priorities(policy, queue, environment.now, V, weights, oracle.PAPER_VALUE)
-            chosen = max(range(len(queue)), key=lambda i: -math.inf if priority[i] is None else priority[i])
-            request = queue.pop(chosen)
+            request = oracle.served_first(policy, queue, priority, ties)
+            queue.remove(request)
             waits[int(request["index"])] = environment.now - request["ready_ms"]
             yield environment.timeout(request["service_ms"])
 
@@ -315,10 +317,12 @@ def time_simpy(traces: RequestTrace, params: SchedulerParams, replays: int) -> f
     row = RequestTrace(*(leaf[:1] for leaf in traces))
     trace = RequestTrace(*(leaf[0] for leaf in traces))
     few: SchedulerParams = jax.tree.map(lambda leaf: leaf[:replays] if leaf.ndim else leaf, params)
+    # Each way to break ties in turn.
+    few = few._replace(ties=jnp.arange(replays, dtype=jnp.int32) % len(TIES))
     ours = np.asarray(run_grid(row, "voi_lyapunov", few))[0]
-    settings = [tuple(float(weight[i]) for weight in few.weights) for i in range(replays)]
+    settings = [(tuple(float(weight[i]) for weight in few.weights), TIES[i % len(TIES)]) for i in range(replays)]
     start = time.perf_counter()
-    waits = [simpy_replay(trace, "voi_lyapunov", 0.0, weights) for weights in settings]
+    waits = [simpy_replay(trace, "voi_lyapunov", 0.0, weights, ties) for weights, ties in settings]
     seconds = time.perf_counter() - start
     # SimPy's clock is a float; ours counts quarters of a microsecond.
     worst = float(np.max(np.abs(np.stack(waits) - ours)))

@@ -79,7 +79,23 @@ def priorities(policy, queued, clock, V, weights, value):
     return found
 
 
-def replay(trace, policy, V=PAPER_V, weights=PAPER_WEIGHTS, value=PAPER_VALUE):
+def served_first(policy, queued, priority, ties="arrival"):
+    """The queued request of largest priority; equal ones by arrival, client or last arrival, FIFO always by arrival."""
+    best = max(p for p in priority if p is not None)
+    equal = [j for p, j in zip(priority, queued, strict=True) if p == best]
+
+    def arrival(j):
+        return j["ready_ms"], j["index"]
+
+    if policy == "fifo" or ties == "arrival":
+        return min(equal, key=arrival)
+    if ties == "client":
+        return min(equal, key=lambda j: (j["client"], *arrival(j)))
+    assert ties == "last"
+    return max(equal, key=arrival)
+
+
+def replay(trace, policy, V=PAPER_V, weights=PAPER_WEIGHTS, value=PAPER_VALUE, ties="arrival"):
     """Serve every valid request.
 
     Returns start times by index, the order served, and the smallest gap between the served request's priority and a
@@ -91,11 +107,10 @@ def replay(trace, policy, V=PAPER_V, weights=PAPER_WEIGHTS, value=PAPER_VALUE):
         clock = max(clock, min(j["ready_ms"] for j in pending))
         queued = [j for j in pending if j["ready_ms"] <= clock]
         priority = priorities(policy, queued, clock, V, weights, value)
-        allowed = [(p, j) for p, j in zip(priority, queued, strict=True) if p is not None]
-        best = max(p for p, _ in allowed)
-        others = [best - p for p, _ in allowed if p != best]
-        gap = min([gap, *others])
-        served = min((j for p, j in allowed if p == best), key=lambda j: (j["ready_ms"], j["index"]))
+        allowed = [p for p in priority if p is not None]
+        best = max(allowed)
+        gap = min([gap, *(best - p for p in allowed if p != best)])
+        served = served_first(policy, queued, priority, ties)
         starts[served["index"]] = clock
         order.append(served["index"])
         clock += served["service_ms"]

@@ -9,6 +9,7 @@ from ovibjax.scheduling import lanes
 from ovibjax.scheduling.queue_replay import waits
 from ovibjax.scheduling.replay_grid import run_grid
 from ovibjax.scheduling.rules import SchedulerParams, ValueCoefficients, Weights, default_params
+from ovibjax.scheduling.ties import TIES
 from tests.oracles import scheduling as oracle
 from tests.scheduling.random_requests import KINDS, expected_waits, random_trace, stack, take
 
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.long  # every grid with many lanes compiles a dozen lis
 
 
 def random_params(seed, values=False):
-    """Twenty settings around the paper's; its own is the first."""
+    """Twenty settings around the paper's, ties of all kinds in turn; its own is the first."""
     rng = np.random.default_rng(seed)
 
     def around(number):
@@ -26,7 +27,7 @@ def random_params(seed, values=False):
         factors[0] = 1.0
         return jnp.asarray(float(number) * factors, jnp.float32)
 
-    params = default_params()
+    params = default_params()._replace(ties=jnp.arange(LANES, dtype=jnp.int32) % len(TIES))
     swept = params._replace(V=around(params.V), weights=Weights(*map(around, params.weights)))
     return swept._replace(value=ValueCoefficients(*map(around, params.value))) if values else swept
 
@@ -40,6 +41,7 @@ def numbers(params):
         "V": float(params.V),
         "weights": tuple(map(float, params.weights)),
         "value": tuple(map(float, params.value)),
+        "ties": TIES[int(params.ties)],
     }
 
 
@@ -66,6 +68,16 @@ def test_a_list_that_overflows_is_replayed_exactly(policy):
     for row, trace in enumerate((crowded, calm)):
         for number in (0, 9):
             np.testing.assert_array_equal(grid[row, number], waits(trace, policy, lane(params, number)))
+
+
+def test_one_way_to_break_ties_for_all_lanes():
+    traces = [random_trace(seed, N, ("ties", "twins")[seed % 2]) for seed in range(8)]
+    params = random_params(6)._replace(ties=jnp.int32(TIES.index("client")))
+    grid = np.asarray(run_grid(stack(traces), "base_dpp", params))
+    for row, trace in enumerate(traces):
+        for number in (0, 1 + row):
+            expected = expected_waits(trace, "base_dpp", **numbers(lane(params, number)))
+            np.testing.assert_array_equal(grid[row, number], expected)
 
 
 def test_chunks_of_lanes_and_policies_without_parameters():
