@@ -12,9 +12,8 @@ import jax.numpy as jnp
 
 from ovibjax.edge.service import EDGE, ServiceProfile, draw_ms, estimate_ms
 from ovibjax.link.channel import fading_power
-from ovibjax.link.latency import transmit_s
 from ovibjax.link.profiles import profile_rate_bps
-from ovibjax.scheduling.events import Events
+from ovibjax.scheduling.events import Events, encode_and_send_ms
 from ovibjax.scheduling.requests import RequestTrace
 
 
@@ -27,7 +26,6 @@ class TraceParams(NamedTuple):
         urgency_high: largest mission urgency.
         deadline_low_ms: shortest relative deadline; uniform per request.
         deadline_high_ms: longest relative deadline.
-        encode_ms: encoding time of the Jetson at k = 32, as the paper's table implies it.
         fading_depth: 0 for a constant rate to 1 for Rayleigh block fading around it.
         service: service times at the edge.
     """
@@ -37,7 +35,6 @@ class TraceParams(NamedTuple):
     urgency_high: jax.Array
     deadline_low_ms: jax.Array
     deadline_high_ms: jax.Array
-    encode_ms: jax.Array
     fading_depth: jax.Array
     service: ServiceProfile
 
@@ -55,14 +52,13 @@ class Workload(NamedTuple):
 
 
 def default_trace_params() -> TraceParams:
-    """Default trace: phases over 0.7 s, urgency 0.5 to 1.5, deadlines 100 to 400 ms, 30.3 ms encoding, no fading."""
+    """Default trace: phases over 0.7 s, urgency 0.5 to 1.5, deadlines 100 to 400 ms, no fading."""
     return TraceParams(
         phase_spread_s=jnp.float32(0.7),
         urgency_low=jnp.float32(0.5),
         urgency_high=jnp.float32(1.5),
         deadline_low_ms=jnp.float32(100.0),
         deadline_high_ms=jnp.float32(400.0),
-        encode_ms=jnp.float32(30.3),
         fading_depth=jnp.float32(0.0),
         service=jax.tree.map(jnp.asarray, EDGE),
     )
@@ -91,8 +87,7 @@ def make_trace(
         keys = jax.random.split(jax.random.fold_in(key, number), 5)
         fading = fading_power(keys[4], events.time_s.shape, 0.0)
         rate_bps = profile_rate_bps(fading, rate, depth=params.fading_depth)
-        uplink_ms = params.encode_ms + 1000.0 * transmit_s(events.payload_bytes, rate_bps)
-        return client_requests(keys[:4], number, events, uplink_ms, params)
+        return client_requests(keys[:4], number, events, encode_and_send_ms(events, rate_bps), params)
 
     return flatten(jax.vmap(client)(jnp.arange(n_clients, dtype=jnp.int32)))
 

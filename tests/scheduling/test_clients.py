@@ -27,12 +27,18 @@ def made(events, n_clients=5, rate=4.0, seed=0, **numbers):
 
 def test_ready_times_follow_phase_encoding_and_transmission(events):
     trace = made(events, phase_spread_s=0.0)
-    uplink_ms = 30.3 + 1000.0 * np.asarray(events.payload_bytes) / (4.0 * 1024.0)
+    uplink_ms = 31.7 + 1000.0 * np.asarray(events.payload_bytes) / (4.0 * 1024.0)
     np.testing.assert_allclose(trace.uplink_ms.reshape(5, EVENTS), np.tile(uplink_ms, (5, 1)), rtol=1e-6)
     ready_ms = trace.requests.ready_ms.reshape(5, EVENTS)
     np.testing.assert_allclose(ready_ms[0], 1000.0 * np.asarray(events.time_s) + uplink_ms, rtol=1e-6)
     np.testing.assert_array_equal(ready_ms, np.tile(ready_ms[0], (5, 1)))
     np.testing.assert_array_equal(trace.requests.client.reshape(5, EVENTS), np.tile(np.arange(5)[:, None], EVENTS))
+
+
+def test_encoding_takes_as_long_as_the_prefix_says(events):
+    longer = events._replace(prefix=jnp.where(jnp.arange(EVENTS) % 2, 32, 128))
+    encode_ms = made(longer).uplink_ms - 1000.0 * np.tile(events.payload_bytes, 5) / (4.0 * 1024.0)
+    np.testing.assert_allclose(encode_ms, np.tile(np.where(np.arange(EVENTS) % 2, 32.3, 35.7), 5), rtol=1e-5)
 
 
 def test_a_client_keeps_its_phase_and_its_urgency(events):

@@ -32,10 +32,12 @@ def test_recorded_requests_keep_what_the_client_predicted():
         delay_s=number / 100,
     )
     context = np.array([0] * 5 + [2] * 5)
-    actions = SimpleNamespace(mode=np.arange(len(ACTIONS)), payload_bytes=100 + np.arange(len(ACTIONS)))
+    numbers = np.arange(len(ACTIONS))
+    actions = SimpleNamespace(mode=numbers, prefix=10 + numbers, payload_bytes=100 + numbers)
     events = recorded_events(run, context, np.array([0.4, 0.9, 1.6]), actions)
     np.testing.assert_array_equal(events.time_s, [1.0, 3.5])
     np.testing.assert_array_equal(events.mode, [3, 3])
+    np.testing.assert_array_equal(events.prefix, [13, 13])
     np.testing.assert_array_equal(events.payload_bytes, [103, 103])
     np.testing.assert_allclose(events.voi_m, [1.0, 3.5])
     np.testing.assert_allclose(events.risk_m, [3.0, 8.0])
