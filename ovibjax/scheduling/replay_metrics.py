@@ -25,13 +25,15 @@ class GroupMetrics(NamedTuple):
         edge_p95_ms: 95th percentile of waiting plus service.
         e2e_p95_ms: 95th percentile of encoding, transmission, waiting and service.
         stale_m: mean stale-feedback penalty, drift rate times end-to-end latency.
-        cost: mean weighted cost, scheduling value times edge latency over relative deadline.
+        cost: mean weighted cost, scheduling value times end-to-end latency over relative deadline.
+        edge_cost: the same with the edge latency, waiting and service, which is what deadlines count.
     """
 
     edge_p95_ms: jax.Array
     e2e_p95_ms: jax.Array
     stale_m: jax.Array
     cost: jax.Array
+    edge_cost: jax.Array
 
 
 class ReplayMetrics(NamedTuple):
@@ -44,8 +46,10 @@ class ReplayMetrics(NamedTuple):
 def metrics(workload: Workload, wait_ms: jax.Array, params: SchedulerParams) -> ReplayMetrics:
     """Latencies, stale-feedback penalty and weighted cost of one replay.
 
-    The response latency D_j of the cost counts from the request's arrival at the edge, as its deadline does; the
-    observation-to-correction delay of the penalty is the end-to-end latency.
+    The response latency D_j of the cost counts from the observation, as the delay of the penalty does. The paper does
+    not say so; its table does. From VOI-Lyapunov to Base-DPP the edge p95 grows 137.7 / 32.8 = 4.2 times and the
+    penalty, which counts the uplink, 0.022 / 0.012 = 1.83 times: a cost at the edge would grow more than the penalty,
+    and it grows 1.82 / 1.12 = 1.63 times.
 
     Args:
         workload: leaves [J].
@@ -68,11 +72,11 @@ def metrics(workload: Workload, wait_ms: jax.Array, params: SchedulerParams) -> 
     edge_ms = wait_ms + service_ms
     e2e_ms = workload.uplink_ms + edge_ms
     stale_m = drift * e2e_ms / 1000.0
-    cost = value * edge_ms / deadline_ms
+    cost, edge_cost = (value * latency_ms / deadline_ms for latency_ms in (e2e_ms, edge_ms))
 
     def group(members: jax.Array) -> GroupMetrics:
         count = jnp.sum(members.astype(jnp.float32))
-        means = (jnp.sum(jnp.where(members, each, 0.0)) / count for each in (stale_m, cost))
+        means = (jnp.sum(jnp.where(members, each, 0.0)) / count for each in (stale_m, cost, edge_cost))
         return GroupMetrics(_upper_percentile(edge_ms, members), _upper_percentile(e2e_ms, members), *means)
 
     return ReplayMetrics(group(_top(value, valid)), group(valid))

@@ -27,7 +27,7 @@ DIMS: dict[str, tuple[str, ...]] = {
             *(
                 f"{group}_{name}"
                 for group in ("top", "all")
-                for name in ("edge_p95_ms", "e2e_p95_ms", "stale_m", "cost")
+                for name in ("edge_p95_ms", "e2e_p95_ms", "stale_m", "cost", "edge_cost")
             ),
             "unserved",
         ),

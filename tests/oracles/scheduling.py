@@ -119,18 +119,20 @@ def replay(trace, policy, V=PAPER_V, weights=PAPER_WEIGHTS, value=PAPER_VALUE, t
 
 
 def group_metrics(members, starts, uplink_ms, value=PAPER_VALUE):
-    """Edge and end-to-end p95, mean stale-feedback penalty and mean weighted cost of some requests."""
+    """Edge and end-to-end p95, means of stale-feedback penalty and of weighted cost, end to end and at the edge."""
     if not members:
-        return (math.nan,) * 4
+        return (math.nan,) * 5
     edge = {j["index"]: starts[j["index"]] + j["service_ms"] - j["ready_ms"] for j in members}
     e2e = {i: float(uplink_ms[i]) + latency for i, latency in edge.items()}
     stale = [j["drift_m_per_s"] * e2e[j["index"]] / 1000.0 for j in members]
-    cost = [scheduling_value(j, value) * edge[j["index"]] / j["deadline_ms"] for j in members]
+    cost = [scheduling_value(j, value) * e2e[j["index"]] / j["deadline_ms"] for j in members]
+    edge_cost = [scheduling_value(j, value) * edge[j["index"]] / j["deadline_ms"] for j in members]
     return (
         percentile_95(list(edge.values())),
         percentile_95(list(e2e.values())),
         sum(stale) / len(stale),
         sum(cost) / len(cost),
+        sum(edge_cost) / len(edge_cost),
     )
 
 
