@@ -13,16 +13,19 @@ from ovibjax.cards.congestion_drawing import (
     draw_edge,
     draw_levels,
     draw_sensitivity,
+    draw_ties_all,
+    draw_ties_top,
 )
 from ovibjax.cards.congestion_study import Congestion, replay_congestion
 from ovibjax.cards.job import Job
 from ovibjax.cards.scheduling_drawing import NAMES
-from ovibjax.cards.scheduling_study import PAIRED, PAPER_V, SCOPES, events_of, metric_columns
+from ovibjax.cards.scheduling_study import PAIRED, PAPER_TIES, SCOPES, events_of, metric_columns
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
 from ovibjax.scheduling.rules import POLICIES
+from ovibjax.scheduling.ties import TIES
 
 TITLE = "Whom to serve: schedulers under congestion"
 
@@ -54,32 +57,36 @@ def run(job: Job) -> None:
     write_rows(job.out / "table.csv", table_rows(found, seeds))
     write_claims(job.out / "claims.json", judge_claims(found))
     with job.stage("draw"):
-        panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.2)
-    job.record(TITLE, caption(found, seeds), seeds, started, phase_spread_s=PHASE_SPREAD_S, requests=found.requests)
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.3)
+    facts = {"phase_spread_s": PHASE_SPREAD_S, "ties": PAPER_TIES, "requests": found.requests}
+    job.record(TITLE, caption(found, seeds), seeds, started, **facts)
 
 
 def table_rows(found: Congestion, seeds: list[int]) -> list[dict[str, Any]]:
-    """One row per congestion level, rule, seed and scope, at the paper's V."""
+    """One row per congestion level, rule, way to break ties, seed and scope, at the paper's V."""
     return [
         {
             "congestion": level,
             "policy": rule,
+            "ties": ties,
             "seed": seed,
             "scope": scope,
-            **metric_columns(found.levels[rule], scope, (case, i, PAPER_V)),
+            **metric_columns(found.levels[rule], scope, (case, i, column)),
         }
         for case, level in enumerate(LEVELS)
         for rule in POLICIES
+        for column, ties in enumerate(TIES)
         for i, seed in enumerate(seeds)
         for scope in SCOPES
     ]
 
 
 def judge_claims(found: Congestion) -> list[Claim]:
-    """The paper's table, judged on paired seeds at high congestion."""
+    """The paper's table, judged on paired seeds at high congestion under `PAPER_TIES`."""
     voi, base = (found.at(p, "top10", "edge_p95_ms") for p in ("voi_lyapunov", "base_dpp"))
     percent = 100.0 * (base - voi) / base
-    equal = np.array_equal(found.at("fifo", "all", "edge_p95_ms"), found.at("maxweight", "all", "edge_p95_ms"))
+    fifo, maxweight = (found.at(p, "all", "edge_p95_ms") for p in ("fifo", "maxweight"))
+    equal = np.array_equal(fifo, maxweight)
     return [
         _lowest(found, "edge_p95_ms", "edge p95", "ms", 1),
         _lowest(found, "e2e_p95_ms", "end-to-end p95", "ms", 1),
@@ -96,10 +103,7 @@ def judge_claims(found: Congestion) -> list[Claim]:
         Claim.true(
             "MaxWeight differs from FIFO",
             f"{PAPER_ALL_EDGE_MS['maxweight']} / {PAPER_ALL_EDGE_MS['fifo']} ms",
-            "the same service order: no client ever has two requests waiting, so every backlog is one and ties go to "
-            "the earliest"
-            if equal
-            else "different orders",
+            "the same service order" if equal else f"difference {interval(maxweight - fifo).text('ms', 1)}",
             not equal,
             "edge p95 of all requests not equal on every seed",
         ),
@@ -137,7 +141,9 @@ def caption(found: Congestion, seeds: list[int]) -> str:
         f"phase (within {PHASE_SPREAD_S:g} s, set once so that FIFO's edge p95 of all requests at high congestion lies "
         "near the paper's 93 ms), urgency, deadlines and service jitter. (a), (b) High congestion (N = 30, 4 KB/s), "
         "95 % intervals; black ticks: the paper's values. (c) Edge p95 of the top decile by congestion. (d) Reduction "
-        "of that p95 by VOI-Lyapunov against Base-DPP as phase spread and number of clients vary."
+        "of that p95 by VOI-Lyapunov against Base-DPP as phase spread and number of clients vary. (e), (f) High "
+        "congestion by who goes first of requests with equal priority, which the paper does not say; in the other "
+        "panels the lowest client does."
     )
 
 
@@ -146,4 +152,6 @@ PANELS = {
     "edge latency": draw_edge,
     "congestion separates the rules": draw_levels,
     "VOI-Lyapunov against Base-DPP": draw_sensitivity,
+    "who goes first of equals: top decile": draw_ties_top,
+    "who goes first of equals: all requests": draw_ties_all,
 }

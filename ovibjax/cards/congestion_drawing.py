@@ -11,6 +11,7 @@ from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import interval
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
+from ovibjax.scheduling.ties import TIES
 
 PAPER_TOP = {
     "edge_p95_ms": {"voi_lyapunov": 32.8, "base_dpp": 137.7, "maxweight": 142.4},
@@ -23,6 +24,9 @@ PAPER_TOP = {
 PAPER_ALL_EDGE_MS = {"voi_lyapunov": 185.7, "base_dpp": 232.5, "maxweight": 217.8, "fifo": 93.2, "edf": 106.7}
 """The paper's edge p95 of all requests at high congestion."""
 
+TIES_NAMES = {"arrival": ("earliest arrival", "o"), "client": ("lowest client", "s"), "last": ("latest arrival", "^")}
+"""Who goes first of requests with equal priority: words and marker."""
+
 
 def draw_cost(ax: Axes, found: Congestion) -> None:
     """Weighted cost of the top decile by rule, at high congestion."""
@@ -32,7 +36,8 @@ def draw_cost(ax: Axes, found: Congestion) -> None:
         rows.append(panels.Bar(name, span, COLOURS[rule], PAPER_TOP["cost"].get(rule), f"{span.mean:.2f}"))
     panels.bars(ax, rows, inside=True)
     ax.set(xlabel="weighted cost, top decile")
-    ax.legend(loc="upper right")
+    ax.set_xlim(right=1.25 * ax.get_xlim()[1])
+    ax.legend(loc="center right")
 
 
 def draw_edge(ax: Axes, found: Congestion) -> None:
@@ -52,6 +57,34 @@ def draw_edge(ax: Axes, found: Congestion) -> None:
     ax.set(xlabel="edge p95 (ms): solid top decile, pale all requests")
 
 
+def draw_ties_top(ax: Axes, found: Congestion) -> None:
+    """Edge p95 of the top decile at high congestion, by rule and by how ties are broken."""
+    _draw_ties(ax, found, "top10", PAPER_TOP["edge_p95_ms"])
+    ax.set(xlabel="edge p95, top decile (ms)")
+
+
+def draw_ties_all(ax: Axes, found: Congestion) -> None:
+    """Edge p95 of all requests at high congestion, by rule and by how ties are broken."""
+    _draw_ties(ax, found, "all", PAPER_ALL_EDGE_MS)
+    ax.set(xlabel="edge p95, all requests (ms)")
+
+
+def _draw_ties(ax: Axes, found: Congestion, scope: str, paper: dict[str, float]) -> None:
+    for row, rule in enumerate(NAMES):
+        for place, ties in zip((-0.25, 0.0, 0.25), TIES, strict=True):
+            span = interval(found.at(rule, scope, "edge_p95_ms", ties=ties))
+            look: dict[str, Any] = {"color": COLOURS[rule], "marker": TIES_NAMES[ties][1], "ms": 3.5, "capsize": 2}
+            ax.errorbar(span.mean, row + place, xerr=span.cap, lw=1, **look)
+        if rule in paper:
+            panels.paper_tick(ax, paper[rule], row, 14)
+    panels.category_axis(ax, list(NAMES.values()))
+    ax.set_xlim(left=0)
+    for words, marker in TIES_NAMES.values():
+        ax.plot([], [], marker, ms=3.5, color=fig.GREY, label=words)
+    ax.plot([], [], "|", ms=8, mew=1.6, color="black", label="paper")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, columnspacing=0.8, handletextpad=0.1)
+
+
 def draw_levels(ax: Axes, found: Congestion) -> None:
     """Edge p95 of the top decile by congestion level, a line per rule."""
     x = np.arange(len(LEVELS))
@@ -59,7 +92,7 @@ def draw_levels(ax: Axes, found: Congestion) -> None:
         spans = [interval(found.at(rule, "top10", "edge_p95_ms", level)) for level in LEVELS]
         width = {"base_dpp": 4.5, "maxweight": 2.6}.get(rule, 1.2)  # these may lie under FIFO
         means, caps = [s.mean for s in spans], [s.cap for s in spans]
-        look: dict[str, Any] = {"color": COLOURS[rule], "label": NAMES[rule], "lw": width}
+        look: dict[str, Any] = {"color": COLOURS[rule], "label": NAMES[rule], "lw": width, "elinewidth": 1}
         ax.errorbar(x, means, caps, fmt="o-", ms=3.5, capsize=2, **look)
     ax.set_xticks(x, [f"{name}\nN = {n}, {rate:g} KB/s" for name, (n, rate) in LEVELS.items()])
     ax.set(ylabel="edge p95, top decile (ms)")

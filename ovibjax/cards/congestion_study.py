@@ -1,4 +1,4 @@
-"""Scheduling rules under congestion: the paper's three levels over V, and other loads and phase spreads."""
+"""Scheduling rules under congestion: the paper's three levels by how ties are broken, other loads, phase spreads."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.cards.scheduling_study import PAPER_V, VS, metric_of, paper_cases
+from ovibjax.cards.scheduling_study import PAPER_TIES, metric_of, paper_cases
 from ovibjax.control.protocols import seeds_to_keys
 from ovibjax.runtime.progress import console
 from ovibjax.scheduling.clients import default_trace_params
@@ -14,6 +14,7 @@ from ovibjax.scheduling.congestion import LEVELS, Case, compare
 from ovibjax.scheduling.events import Events
 from ovibjax.scheduling.replay_metrics import ReplayMetrics
 from ovibjax.scheduling.rules import default_params
+from ovibjax.scheduling.ties import TIES
 
 SPREADS_S = (0.27, 0.54, 1.08, 2.16, 4.32)
 LOADS = (10, 20, 30, 45)
@@ -24,8 +25,8 @@ class Congestion:
     """Metrics of the rules under congestion, on the host.
 
     Attributes:
-        levels: [levels, seeds, V] by rule.
-        varied: [spreads x loads, seeds, 1] by rule, at 4 KB/s.
+        levels: [levels, seeds, ties] by rule, at the paper's V.
+        varied: [spreads x loads, seeds, 1] by rule, at 4 KB/s and `PAPER_TIES`.
         requests: requests per client.
     """
 
@@ -33,13 +34,13 @@ class Congestion:
     varied: dict[str, ReplayMetrics]
     requests: int
 
-    def at(self, rule: str, scope: str, metric: str, level: str = "high") -> np.ndarray:
-        """[seeds] a metric at the paper's V."""
-        return metric_of(self.levels[rule], scope, metric)[list(LEVELS).index(level), :, PAPER_V]
+    def at(self, rule: str, scope: str, metric: str, level: str = "high", ties: str = PAPER_TIES) -> np.ndarray:
+        """[seeds] a metric of a rule."""
+        return metric_of(self.levels[rule], scope, metric)[list(LEVELS).index(level), :, TIES.index(ties)]
 
 
 def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) -> Congestion:
-    """Replay every rule at the paper's congestion levels over V, and some at other loads and phase spreads.
+    """Replay every rule at the paper's congestion levels under all ties, and some at other loads and phase spreads.
 
     Args:
         events: recorded requests of one client.
@@ -49,8 +50,8 @@ def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) 
     Returns:
         Metrics on the host.
     """
-    params, trace = default_params(), default_trace_params()
-    keys, by_v = seeds_to_keys(seeds), params._replace(V=jnp.array(VS, jnp.float32))
+    params, trace = default_params(PAPER_TIES), default_trace_params()
+    keys, by_ties = seeds_to_keys(seeds), params._replace(ties=jnp.arange(len(TIES), dtype=jnp.int32))
     most = max(clients for clients, _ in LEVELS.values())
     places = [(load, spread) for spread in SPREADS_S for load in LOADS]
     cases = Case(
@@ -60,6 +61,6 @@ def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) 
     )
     rivals = ("voi_lyapunov", "base_dpp", "fifo")
     with console.status("replaying the schedulers"):
-        levels = compare(keys, events, paper_cases(*LEVELS), trace, by_v, most)
+        levels = compare(keys, events, paper_cases(*LEVELS), trace, by_ties, most)
         varied = compare(keys[:sensitivity_seeds], events, cases, trace, params, max(LOADS), rivals)
         return Congestion(jax.device_get(levels), jax.device_get(varied), int(events.valid.sum()))

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.cards.scheduling_study import VS, metric_of, paper_cases
+from ovibjax.cards.scheduling_study import PAPER_TIES, VS, metric_of, paper_cases
 from ovibjax.control.protocols import seeds_to_keys
 from ovibjax.runtime.progress import console
 from ovibjax.scheduling.clients import default_trace_params
@@ -66,7 +66,7 @@ def search_weights(events: Events, count: int, tuning_seeds: list[int], seeds: l
         What was tried, chosen and found, on the host.
     """
     n, case = LEVELS["high"][0], paper_cases("high")
-    trace, params = default_trace_params(), default_params()
+    trace, params = default_trace_params(), default_params(PAPER_TIES)
     tuning_keys, held_keys = seeds_to_keys(tuning_seeds), seeds_to_keys(seeds)
     tried = candidates(count)
     by_v: SchedulerParams = params._replace(V=jnp.array(VS, jnp.float32))
