@@ -11,7 +11,6 @@
 ...     context=jnp.zeros(slots, jnp.int32),
 ...     yaw_rad=jnp.zeros(slots),
 ...     predicted_m=jnp.full((slots, actions), 2.0),
-...     spread_m=jnp.full((slots, actions), 2.4),
 ...     residual_m=jnp.ones((slots, actions, 2)),
 ... )
 >>> params = control.ControlParams(control.make_environment(), control.make_controller(control.ACTIONS))

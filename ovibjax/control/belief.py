@@ -1,10 +1,11 @@
 """What a client believes of its position, and what is true (paper, "Local Belief and Predicted Edge Gain").
 
 The client dead-reckons, and its error grows as a model of `drift` has it. The covariance follows the same model, so
-that the local risk is calibrated: the mean squared error equals tr P. A position from the edge becomes the estimate,
-with the residual's mean square as its covariance, or is fused with it as a Kalman filter does.
+that the local risk is calibrated: the mean squared error equals tr P. A position from the edge becomes the estimate, or
+is fused with it as a Kalman filter does.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -43,14 +44,14 @@ class Fix(NamedTuple):
     Attributes:
         residual_x_m: realised error of the position, x.
         residual_y_m: the same, y.
-        spread_m: root mean square of such residuals on training routes.
+        predicted_m: predicted residual g_psi, the median of such errors on training routes.
         toward_x: unit direction of the drift that follows, x.
         toward_y: the same, y.
     """
 
     residual_x_m: jax.Array
     residual_y_m: jax.Array
-    spread_m: jax.Array
+    predicted_m: jax.Array
     toward_x: jax.Array
     toward_y: jax.Array
 
@@ -112,7 +113,11 @@ def error_m(belief: Belief) -> jax.Array:
 
 
 def correct(belief: Belief, fix: Fix, replaces: jax.Array, gate_sigma: jax.Array) -> Belief:
-    """Use a position from the edge: in place of the estimate, or by a Kalman update with covariance (spread^2 / 2) I.
+    """Use a position from the edge: in place of the estimate, or by a Kalman update.
+
+    The covariance of the position is that of the isotropic Gaussian whose distance from the truth has the predicted
+    residual as its median. Rare gross errors do not move it, as they do not move the median (paper, Section "Local
+    Belief and Predicted Edge Gain"); the client cannot tell them.
 
     Args:
         belief: before the correction.
@@ -124,7 +129,8 @@ def correct(belief: Belief, fix: Fix, replaces: jax.Array, gate_sigma: jax.Array
     Returns:
         The belief after it; drift starts anew, in the fix's direction.
     """
-    noise = 0.5 * fix.spread_m**2 + 1e-6  # a spread of zero is a measurement within a millimetre
+    # P(distance < g) = 1 - exp(-g^2 / 2 n) is a half. A residual of zero is a measurement within a millimetre.
+    noise = fix.predicted_m**2 / (2.0 * math.log(2.0)) + 1e-6
     s_xx, s_xy, s_yy = belief.cov_xx_m2 + noise, belief.cov_xy_m2, belief.cov_yy_m2 + noise
     inverse = 1.0 / (s_xx * s_yy - s_xy**2)
     # Measurement minus estimate: the truth drops out.

@@ -51,7 +51,6 @@ class Slot(NamedTuple):
 
     number: jax.Array
     predicted_m: jax.Array
-    spread_m: jax.Array
     residual_m: jax.Array
     odometry: Odometry
     rate_bps: jax.Array

@@ -122,12 +122,12 @@ def request_with(
     """
     every = range(len(actions))
     size = chosen([jnp.float32(b) for b in actions.payload_bytes], action)
-    by_action = (slot.predicted_m, slot.spread_m, slot.delay_s, params.control.energy_j, seen.realised_m)
-    predicted_m, spread_m, delay_s, energy_j, residual_m, rest_s = (
-        chosen([values[a] for a in every], action) for values in (*by_action, slot.latency_s)
+    predicted_m, delay_s, energy_j, residual_m, rest_s = (
+        chosen([values[a] for a in every], action)
+        for values in (slot.predicted_m, slot.delay_s, params.control.energy_j, seen.realised_m, slot.latency_s)
     )
     residual_x_m, residual_y_m = (chosen([slot.residual_m[a, axis] for a in every], action) for axis in (0, 1))
-    fix = Fix(residual_x_m, residual_y_m, spread_m, slot.odometry.toward_x, slot.odometry.toward_y)
+    fix = Fix(residual_x_m, residual_y_m, predicted_m, slot.odometry.toward_x, slot.odometry.toward_y)
     value_m = net_voi(risk_m, predicted_m, size, slot.rate_bps, delay_s, energy_j, params.control.prices)
     latency_s = transmit_s(size, slot.rate_bps) + rest_s
     return Request(size, latency_s, fix, delay_s, energy_j, residual_m, value_m)

@@ -31,14 +31,12 @@ class Route(NamedTuple):
         context: [T] int32, index into `features.frames.CONTEXTS`.
         yaw_rad: [T] heading.
         predicted_m: [T, A] predicted residual g_psi of each action, m.
-        spread_m: [T, A] root mean square of such residuals on training routes, the local risk after a correction.
         residual_m: [T, A, 2] realised error of the edge's position, x and y, m.
     """
 
     context: Any
     yaw_rad: Any
     predicted_m: Any
-    spread_m: Any
     residual_m: Any
 
 

@@ -24,7 +24,6 @@ def slots_of(route: Route, draws: Draws, scheduled: jax.Array) -> Slot:
     return Slot(
         jnp.arange(scheduled.shape[0]),
         jnp.asarray(route.predicted_m),
-        jnp.asarray(route.spread_m),
         jnp.asarray(route.residual_m),
         draws.odometry,
         draws.rate_bps,

@@ -8,7 +8,7 @@ import numpy as np
 from ovibjax.control.actions import ACTIONS, ActionSet, actions_for
 from ovibjax.control.drives import join_drives
 from ovibjax.control.environment import Route
-from ovibjax.control.predictor import fit_predictor, fit_spread
+from ovibjax.control.predictor import fit_predictor
 from ovibjax.control.residuals import residuals_m
 from ovibjax.encoder.checkpoint import CHECKPOINT, CheckpointConfig, train_checkpoint
 from ovibjax.features.frames import FeatureSet
@@ -51,14 +51,12 @@ def make_scene(sets: list[FeatureSet], training: int, checkpoint: CheckpointConf
     trained = train_checkpoint(jax.random.key(0), frames.first_frames, checkpoint)
     realised = residuals_m(trained, frames.features, frames.positions_m, frames.references, actions)
     known, context = frames.known, frames.context
-    seen = np.linalg.norm(realised[known], axis=-1), context[known], len(frames.contexts)
-    predictor, spread = fit_predictor(*seen), fit_spread(*seen)
+    predictor = fit_predictor(np.linalg.norm(realised[known], axis=-1), context[known], len(frames.contexts))
     routes = [
         Route(
             context=context[rows].astype(np.int32),
             yaw_rad=frames.yaw_rad[rows],
             predicted_m=predictor[context[rows]],
-            spread_m=spread[context[rows]],
             residual_m=realised[rows],
         )
         for rows in (frames.drive == i for i in range(len(sets)))

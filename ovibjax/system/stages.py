@@ -72,13 +72,12 @@ def localize(
     residual_m = jnp.moveaxis(places_m[found], 0, 1) - data.positions_m[:, None]
     distance_m = jnp.linalg.norm(residual_m, axis=-1)
     contexts = data.env.drift.rate_m_per_s.shape[0]
-    predicted_m, spread_m = predictor_of_known(distance_m, data.context, data.known, contexts)
+    predicted_m = predictor_of_known(distance_m, data.context, data.known, contexts)
     rows = data.routes
     routes = Route(
         context=data.context[rows],
         yaw_rad=data.yaw_rad[rows],
         predicted_m=predicted_m[data.context[rows]],
-        spread_m=spread_m[data.context[rows]],
         residual_m=residual_m[rows],
     )
     return routes, jnp.mean(distance_m[rows, -1])

@@ -32,7 +32,7 @@ def make_route(seed, slots=SLOTS, actions=8):
     residual = rng.normal(size=(slots, actions, 2)) * (predicted[..., None] / np.sqrt(2) + 0.1)
     residual += 40.0 * (rng.random((slots, actions, 1)) < 0.1) * rng.normal(size=(slots, actions, 2))
     yaw = np.cumsum(rng.normal(scale=0.3, size=slots))
-    fields = (yaw, predicted, 1.3 * predicted, residual)
+    fields = (yaw, predicted, residual)
     return Route(context.astype(np.int32), *(jnp.asarray(x, jnp.float32) for x in fields))
 
 
@@ -108,7 +108,7 @@ def for_oracle(draws, route, params, actions=ACTIONS):
     }
     return (
         world,
-        {name: wide(getattr(route, f"{name}_m")) for name in ("predicted", "spread", "residual")},
+        {name: wide(getattr(route, f"{name}_m")) for name in ("predicted", "residual")},
         {
             "slot_s": float(params.env.slot_s),
             "timeout_s": float(params.env.timeout_s),

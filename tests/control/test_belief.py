@@ -46,7 +46,7 @@ def test_correction_is_the_textbook_update(vectors, shape, predicted, gate):
         error.astype(np.float64), cov.astype(np.float64), residual.astype(np.float64), predicted, gate
     )
     innovation = (residual - error).astype(np.float64)
-    distance = innovation @ np.linalg.solve(cov + (0.5 * predicted**2 + 1e-6) * np.eye(2), innovation)
+    distance = innovation @ np.linalg.solve(cov + oracle.noise_of(predicted), innovation)
     if abs(distance - gate**2) < 1e-3 * gate**2:
         return  # on the gate itself rounding decides
     fix = Fix(*map(jnp.float32, (*residual, predicted, 0.6, 0.8)))
@@ -58,9 +58,9 @@ def test_correction_is_the_textbook_update(vectors, shape, predicted, gate):
         assert (after.accumulated_m, after.toward_x, after.toward_y) == fresh
     if accepted:
         np.testing.assert_array_equal(parts(taken)[0], residual.astype(np.float64))
-        np.testing.assert_allclose(parts(taken)[1], (0.5 * predicted**2 + 1e-6) * np.eye(2), rtol=1e-6)
+        np.testing.assert_allclose(parts(taken)[1], oracle.noise_of(predicted), rtol=1e-6)
     # The determinant of a float32 covariance is known to its condition number times the unit roundoff.
-    noise = 0.5 * predicted**2
+    noise = oracle.noise_of(predicted)[0, 0]
     slack_m = 12.0 * 4e-7 * (max(big, small) + noise) / (min(big, small) + noise)
     np.testing.assert_allclose(got_error, want_error, rtol=1e-4, atol=1e-3 + slack_m)
     np.testing.assert_allclose(got_cov, want_cov, rtol=2e-3, atol=1e-5 * big)
@@ -86,8 +86,9 @@ def realizations():
     yaw = jnp.full(slots, 0.6)
 
     def one(key, env, control):
-        residual = jax.random.normal(jax.random.fold_in(key, 7), (*predicted.shape, 2)) * predicted[..., None]
-        route = Route(context, yaw, predicted, predicted, residual / jnp.sqrt(2.0))
+        scale = predicted[..., None] / jnp.sqrt(2.0 * jnp.log(2.0))  # whose median distance is the prediction
+        residual = jax.random.normal(jax.random.fold_in(key, 7), (*predicted.shape, 2)) * scale
+        route = Route(context, yaw, predicted, residual)
         draws = draw(key, route, env, ACTIONS)
         slots_in = replay.slots_of(route, draws, jnp.zeros(slots, bool))
 
@@ -145,7 +146,7 @@ def test_draws_have_the_stated_distribution():
     slots = 20_000
     context = np.tile([0, 1, 2, 2], slots // 4).astype(np.int32)
     flat = jnp.zeros((slots, 1))
-    route = Route(context, jnp.full(slots, 0.3), flat, flat, flat)
+    route = Route(context, jnp.full(slots, 0.3), flat, flat)
     env = environment(rate_m_per_s=[1.0, 4.0, 9.0], queue_sigma=0.5)
     draws = jax.tree.map(np.asarray, jax.jit(draw, static_argnames="actions")(jax.random.key(3), route, env, ACTIONS))
     for c, rate in enumerate((1.0, 4.0, 9.0)):

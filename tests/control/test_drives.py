@@ -9,13 +9,14 @@ from tests.oracles import control as oracle
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 1000), st.sampled_from([0.0, 0.5, 3.0, 1e9]))
-def test_survey(seed, spacing):
+@given(st.integers(0, 1000), st.sampled_from([0.0, 0.5, 3.0, 1e9]), st.sampled_from([20.0, 1e9]))
+def test_survey(seed, spacing, turn_deg):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 60))
     position = np.cumsum(rng.exponential(size=(n, 3)), axis=0)
     drives = np.sort(rng.integers(0, 3, n))
-    kept = survey(position, drives, spacing)
-    np.testing.assert_array_equal(kept, oracle.survey(position, drives, spacing))
+    yaw = rng.uniform(-4, 4, n) if seed % 2 else np.cumsum(rng.normal(scale=0.2, size=n))
+    kept = survey(position, yaw, drives, spacing, turn_deg)
+    np.testing.assert_array_equal(kept, oracle.survey(position, yaw, drives, spacing, turn_deg))
     assert set(kept[np.r_[True, np.diff(drives[kept]) > 0]]) == {int(np.argmax(drives == d)) for d in set(drives)}
     assert spacing > 0 or len(kept) == n

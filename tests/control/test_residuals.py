@@ -19,7 +19,7 @@ def test_residuals_are_those_of_leave_one_out_retrieval():
     frames = drive(3)
     checkpoint = train_checkpoint(jax.random.key(0), frames.features, TINY)
     assert checkpoint.arch.latent == 128 and checkpoint.arch.view_dim == 8
-    references = survey(frames.positions_m, np.zeros(120), 5.0)
+    references = survey(frames.positions_m, frames.yaw_rad, np.zeros(120), 5.0, 360.0)
     found = residuals_m(checkpoint, frames.features, frames.positions_m, references, ACTIONS)
     x = project(checkpoint.basis, frames.features)
     same = 0

@@ -31,13 +31,10 @@ def test_scene_of_synthetic_frames(made):
         np.testing.assert_array_equal(part.context, context)
         np.testing.assert_array_equal(part.yaw_rad, frames.yaw_rad)
         np.testing.assert_array_equal(part.predicted_m, scene.predictor_m[context])
-        np.testing.assert_array_equal(part.spread_m.shape, part.predicted_m.shape)
     # The predictor has seen the training route alone.
     length = np.linalg.norm(route.residual_m, axis=-1)
     for c in range(4):
         here = route.context == c
         np.testing.assert_allclose(scene.predictor_m[c], np.median(length[here], axis=0), rtol=1e-6)
-        rms = np.sqrt((length[here] ** 2).mean(axis=0))
-        np.testing.assert_allclose(route.spread_m[here], np.broadcast_to(rms, (here.sum(), len(actions))), rtol=1e-5)
     np.testing.assert_allclose(scene.context_share, np.bincount(route.context, minlength=4) / 120)
     assert rates_from_paper(scene.context_share).shape == (4,)

@@ -37,12 +37,17 @@ def drifted(belief, t, draws, drift):
     return error, cov + growth * draws["walk_cov"][t], after, toward
 
 
-def kalman(error, cov, residual, spread, gate):
-    """Textbook update with a position measurement; errors are estimate minus truth.
+def noise_of(predicted):
+    """Covariance of an isotropic Gaussian with a given median distance: 1 - exp(-g^2 / 2 n) = 1/2.
 
-    A spread of zero counts as a measurement within a millimetre.
+    A residual of zero counts as a measurement within a millimetre.
     """
-    noise = (0.5 * spread**2 + 1e-6) * np.eye(2)
+    return (predicted**2 / (2 * math.log(2)) + 1e-6) * np.eye(2)
+
+
+def kalman(error, cov, residual, predicted, gate):
+    """Textbook update with a position measurement; errors are estimate minus truth."""
+    noise = noise_of(predicted)
     innovation = residual - error
     total = cov + noise
     if innovation @ np.linalg.solve(total, innovation) > gate**2:
@@ -51,13 +56,13 @@ def kalman(error, cov, residual, spread, gate):
     return error + gain @ innovation, (np.eye(2) - gain) @ cov, True
 
 
-def correct(belief, residual, spread, toward, control):
+def correct(belief, residual, predicted, toward, control):
     """A belief after a position from the edge, and whether it passed the gate."""
-    error, cov, accepted = kalman(belief[0], belief[1], residual, spread, control["gate"])
+    error, cov, accepted = kalman(belief[0], belief[1], residual, predicted, control["gate"])
     if not accepted:
         return belief, False
     if control["replaces"]:
-        error, cov = residual, (0.5 * spread**2 + 1e-6) * np.eye(2)
+        error, cov = residual, noise_of(predicted)
     return (error, cov, 0.0, toward), True
 
 
@@ -160,7 +165,7 @@ def follow(policy, draws, route, env, control, actions, due):
             latency = draws["latency"][t][action] + (8 * size / rate if rate > 0 else math.inf)
             lost = latency > env["timeout_s"]
             predicted, measured = route["predicted"][t][action], route["residual"][t][action]
-            corrected, accepted = correct(belief, measured, route["spread"][t][action], draws["toward"][t], control)
+            corrected, accepted = correct(belief, measured, predicted, draws["toward"][t], control)
             flight = math.floor(min(latency, env["timeout_s"]) / env["slot_s"])
             out["superseded"].append(coming is not None)
             coming, arrives, last = belief if lost else corrected, t + flight, t
@@ -201,15 +206,17 @@ def most_similar_other(query, reference, own):
     return np.array(found)
 
 
-def survey(positions, drive, spacing):
-    """Frames kept when one is kept per `spacing` metres travelled within each drive."""
+def survey(positions, yaw, drive, spacing, turn_deg):
+    """Frames kept when one is kept per `spacing` metres travelled, or per so many degrees turned, within each drive."""
     kept = []
     for d in dict.fromkeys(drive):
         rows = [i for i in range(len(drive)) if drive[i] == d]
-        travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions[rows], axis=0), axis=1))])
-        mark = -math.inf
-        for row, way in zip(rows, travelled, strict=True):
-            if way - mark >= spacing:
+        way, turned = math.inf, 0.0
+        for before, row in zip([None, *rows], rows, strict=False):
+            if before is not None:
+                way += float(np.linalg.norm(positions[row] - positions[before]))
+                turned += abs((yaw[row] - yaw[before] + math.pi) % (2 * math.pi) - math.pi)
+            if way >= spacing or turned >= math.radians(turn_deg):
                 kept.append(row)
-                mark = way
+                way, turned = 0.0, 0.0
     return kept
