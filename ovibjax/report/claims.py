@@ -6,7 +6,7 @@ is left to say is the statement, the numbers and their text.
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Self
@@ -83,6 +83,7 @@ class Claim:
         ours: our figure.
         verdict: one of held, held on average, not held, reported.
         rule: how the verdict follows from the figure.
+        own: whether the statement is ours and not the paper's.
     """
 
     statement: str
@@ -90,6 +91,16 @@ class Claim:
     ours: str
     verdict: str
     rule: str
+    own: bool = False
+
+    @property
+    def text(self) -> str:
+        """The statement, with a mark where it is ours."""
+        return f"{self.statement} (ours)" if self.own else self.statement
+
+    def as_own(self) -> Self:
+        """The same claim, marked as ours: an expectation of this project that the paper does not state."""
+        return replace(self, own=True)
 
     @classmethod
     def less(

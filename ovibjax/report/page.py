@@ -45,7 +45,7 @@ def _section(folder: Path) -> list[str]:
         lines += [provenance["caption"], ""]
     lines += ["| claim | paper | ours | verdict |", "|---|---|---|---|"]
     for claim in read_claims(folder / "claims.json"):
-        cells = (claim.statement, claim.paper, claim.ours, _MARKS[claim.verdict])
+        cells = (claim.text, claim.paper, claim.ours, _MARKS[claim.verdict])
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     for table in sorted(folder.glob("*.csv")):
         if table.stat().st_size < 4000:

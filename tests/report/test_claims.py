@@ -47,6 +47,7 @@ def test_page_shows_every_claim(tmp_path) -> None:
     folder = tmp_path / "one"
     folder.mkdir()
     claims = [Claim(f"claim | {verdict}", "1", "2", verdict, "rule") for verdict in (HELD, NOT_HELD, REPORTED)]
+    claims += [Claim("of the project", "-", "2", HELD, "rule").as_own()]
     write_claims(folder / "claims.json", claims)
     assert read_claims(folder / "claims.json") == claims
     (folder / "provenance.json").write_text(json.dumps({"title": "One", "preset": "smoke", "seeds": "0"}))
@@ -55,6 +56,7 @@ def test_page_shows_every_claim(tmp_path) -> None:
     assert "## One" in page and "one/figure.png" in page and "| 1 | 2 |" in page
     for verdict in (HELD, NOT_HELD, REPORTED):
         assert f"claim \\| {verdict}" in page
+    assert [line.split(" | ")[0] for line in page.splitlines() if "(ours) |" in line] == ["| of the project (ours)"]
 
 
 def test_a_claim_of_several_parts_is_as_good_as_its_weakest() -> None:
