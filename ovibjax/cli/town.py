@@ -17,6 +17,8 @@ class Town:
     """Frames to write as rgb/ depth/ semantic/ metadata/ calibration/ (400 x 300, five cameras); none by default."""
     seed: int = 5
     """The town; another seed is another town."""
+    style: int = 0
+    """How it looks: façades, heights, trees, light; 0 is the default look."""
     route: int = 0
     """The drive through it."""
 
@@ -27,10 +29,10 @@ class Town:
         from ovibjax.world.town.layout import TownConfig
         from ovibjax.world.town.picture import contact_sheet
 
-        for name, value in (("frames", self.frames), ("seed", self.seed), ("route", self.route)):
+        for name, value in (("frames", self.frames), ("seed", self.seed), ("style", self.style), ("route", self.route)):
             if value < 0:
                 raise InputError(f"--{name} {value} is negative")
-        config = TownConfig(seed=self.seed)
+        config = TownConfig(seed=self.seed, style=self.style)
         try:
             self.out.mkdir(parents=True, exist_ok=True)
             with console.status("drawing the contact sheet"):

@@ -27,7 +27,8 @@ PAPER_FRAMES = 4994
 _CHUNK = 8  # frames per call: what a stage hands to the next stays in the cache of the processor
 SOURCES = (
     *("world.rays", "world.patterns", "world.town.layout", "world.town.route", "world.town.render", "world.town.hits"),
-    *("world.town.pieces", "world.town.shading", "world.town.feature_set", "features.backbones.pyramid"),
+    *("world.town.pieces", "world.town.shading", "world.town.style", "world.town.feature_set"),
+    "features.backbones.pyramid",
 )
 """Code that the features of the town depend on."""
 

@@ -27,13 +27,14 @@ _KINDS = ("rgb", "depth", "semantic")
 
 
 def check_seeds(path: StrPath, config: TownConfig, seed: int) -> None:
-    """Refuse seeds below zero before any work.
+    """Refuse numbers below zero before any work.
 
     Raises:
-        InputError: the town's seed or the drive's is negative.
+        InputError: the town's seed, its style or the drive's seed is negative.
     """
-    if min(config.seed, seed) < 0:
-        raise refusal(path, f"not written: seeds {config.seed} and {seed}; use 0 or more")
+    if min(config.seed, config.style, seed) < 0:
+        given = f"seeds {config.seed} and {seed}, style {config.style}"
+        raise refusal(path, f"not written: {given}; use 0 or more")
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -80,7 +81,7 @@ def write_frames(
         todo = np.array([frame for frame in range(n_frames) if not _is_finished(out, frame)], np.int64)
         for done, (frame, views) in enumerate(render_frames(town, route, todo), n_frames - len(todo) + 1):
             for (kind, view), pixels in _images(views).items():
-                write_whole(_image_file(out, kind, view, frame), _png(pixels))
+                write_whole(_image_file(out, kind, view, frame), png(pixels))
             about = _metadata(route, frame, CONTEXTS[context[frame]], town_config.seed)
             write_whole(_metadata_file(out, frame), _json(about))
             if on_frame is not None:
@@ -131,7 +132,15 @@ def _metadata(route: Route, frame: int, context: str, town_seed: int) -> dict[st
     }
 
 
-def _png(pixels: NDArray[Any]) -> bytes:
+def png(pixels: NDArray[Any]) -> bytes:
+    """Pixels as a PNG file, as the released images are stored.
+
+    Args:
+        pixels: [H, W] or [H, W, 3] of an integer type that PNG knows.
+
+    Returns:
+        The file.
+    """
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, "png")
     return stream.getvalue()

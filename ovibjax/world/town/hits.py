@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.world.rays import Vector, enter_box
-from ovibjax.world.town.shading import SUN
+from ovibjax.world.town.style import Look
 
 FAR_M = 1e6
 """Distance of what no ray meets."""
@@ -78,10 +78,10 @@ def _nearer(one: Winner, other: Winner) -> Winner:
     return nearer
 
 
-def sunlit_by_groups(boxes: Sequence[jax.Array], trees: Sequence[jax.Array], hit: Vector) -> jax.Array:
+def sunlit_by_groups(look: Look, boxes: Sequence[jax.Array], trees: Sequence[jax.Array], hit: Vector) -> jax.Array:
     """`sunlit` of several groups of primitives."""
     count = max(len(boxes), len(trees))
-    return reduce(jnp.minimum, [sunlit(boxes[i % len(boxes)], trees[i % len(trees)], hit) for i in range(count)])
+    return reduce(jnp.minimum, [sunlit(look, boxes[i % len(boxes)], trees[i % len(trees)], hit) for i in range(count)])
 
 
 @jax.jit
@@ -110,20 +110,20 @@ def lookup(rows: jax.Array, slot: jax.Array) -> list[jax.Array]:
 
 
 @jax.jit
-def sunlit(boxes: jax.Array, trees: jax.Array, hit: Vector) -> jax.Array:
+def sunlit(look: Look, boxes: jax.Array, trees: jax.Array, hit: Vector) -> jax.Array:
     """One where the sun reaches a point, zero in the shadow of a primitive of the view; [V, P]."""
     shadow = jnp.zeros_like(hit[0], dtype=bool)
     for i in range(boxes.shape[1]):
         near, far = jnp.full_like(hit[0], 0.05), jnp.full_like(hit[0], FAR_M)
         for a in range(3):
-            low = (boxes[:, i, a, None] - hit[a]) * (1 / SUN[a])
-            high = (boxes[:, i, 3 + a, None] - hit[a]) * (1 / SUN[a])
+            low = (boxes[:, i, a, None] - hit[a]) * look.sun_inverse[a]
+            high = (boxes[:, i, 3 + a, None] - hit[a]) * look.sun_inverse[a]
             near = jnp.maximum(near, jnp.minimum(low, high))
             far = jnp.minimum(far, jnp.maximum(low, high))
         shadow = shadow | (near + 0.02 < far)
     for i in range(trees.shape[1]):
         offset = [trees[:, i, a, None] - hit[a] for a in range(3)]
-        along = offset[0] * SUN[0] + offset[1] * SUN[1] + offset[2] * SUN[2]
+        along = offset[0] * look.sun[0] + offset[1] * look.sun[1] + offset[2] * look.sun[2]
         away = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2 - along**2
         shadow = shadow | ((away < trees[:, i, 3, None] ** 2) & (along > trees[:, i, 3, None] + 0.1))
     return 1.0 - 0.8 * shadow.astype(jnp.float32)

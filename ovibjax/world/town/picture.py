@@ -66,7 +66,8 @@ def contact_sheet(town_config: TownConfig, path: StrPath, seed: int = 0) -> None
 
     axes = axes_at(_MARGIN, _HEADER, plan, plan)
     _draw_plan(axes, town, route, context, half_m=0.6 * town_config.size_m)
-    write_text(_MARGIN + plan / 2, _HEADER / 2, f"Embedded town, seed {town_config.seed}")
+    style = f", style {town_config.style}" if town_config.style else ""
+    write_text(_MARGIN + plan / 2, _HEADER / 2, f"Embedded town, seed {town_config.seed}{style}")
     for column, view in enumerate(VIEWS):
         write_text(left + column * (_CELL_W + _GAP) + _CELL_W / 2, _HEADER / 2, view)
     for row, (frame, views) in enumerate(_pick_frames(town, route, context)):

@@ -32,17 +32,15 @@ from ovibjax.world.town.pieces import PIECE_PX, cut, joined
 from ovibjax.world.town.route import Route
 from ovibjax.world.town.shading import (
     SEMANTIC_CLASSES,
-    SUN,
     shade_ground,
     shade_roof,
     shade_sky,
     shade_tree,
     shade_wall,
+    towards_sun,
 )
+from ovibjax.world.town.style import Look
 
-_HAZE_M = 210.0
-_SUNLIGHT = (0.95, 0.89, 0.78)
-_SKYLIGHT = (0.38, 0.44, 0.54)
 _BATCH = 2  # large poses per call: more are not faster, and each takes 0.4 GB of memory
 
 
@@ -134,14 +132,15 @@ def _render_rays(
     t_box, box = first_of_groups(hit_boxes, box_groups, origin, ray)
     t_tree, tree = first_of_groups(hit_trees, tree_groups, origin, ray)
     surface = _surface((t_box, t_tree), origin, ray, (box, tree), camera)
+    look = town.look
     materials = (
-        shade_wall(surface.hit, surface.box, surface.faces_x, ray, surface.footprint),
+        shade_wall(look, surface.hit, surface.box, surface.faces_x, ray, surface.footprint),
         shade_roof(surface.hit, surface.box, surface.footprint),
-        shade_tree(surface.hit, surface.tree, surface.footprint),
+        shade_tree(look, surface.hit, surface.tree, surface.footprint),
         shade_ground(town, surface.hit, surface.slant),
-        shade_sky(surface.direction),
+        shade_sky(look, surface.direction, towards_sun(look, surface.direction)),
     )
-    return _compose(surface, materials, sunlit_by_groups(box_groups, tree_groups, surface.hit))
+    return _compose(look, surface, materials, sunlit_by_groups(look, box_groups, tree_groups, surface.hit))
 
 
 def render_frames(
@@ -242,17 +241,17 @@ def _surface(
 
 
 @jax.jit
-def _compose(surface: _Surface, materials: tuple[Any, ...], sunlit: jax.Array) -> Views:
+def _compose(look: Look, surface: _Surface, materials: tuple[Any, ...], sunlit: jax.Array) -> Views:
     """Light, haze and gamma; the winner's colour of each pixel."""
     (wall_rgb, wall_light), roof_rgb, (tree_rgb, tree_light), (ground_rgb, ground_class), (sky_rgb, haze_rgb) = (
         materials
     )
     is_box, is_tree, is_sky, on_roof = surface.is_box, surface.is_tree, surface.is_sky, surface.on_roof
-    light = jnp.where(is_box, jnp.where(on_roof, SUN[2], wall_light), jnp.where(is_tree, tree_light, SUN[2]))
+    light = jnp.where(is_box, jnp.where(on_roof, look.sun[2], wall_light), jnp.where(is_tree, tree_light, look.sun[2]))
     lit = jnp.maximum(light, 0.0) * sunlit
-    fog = 1 - jnp.exp(-surface.range_m / _HAZE_M)
+    fog = 1 - jnp.exp(-surface.range_m / look.haze_m)
     rgb = []
-    for c, (sun, ambient) in enumerate(zip(_SUNLIGHT, _SKYLIGHT, strict=True)):
+    for c, (sun, ambient) in enumerate(zip(look.sunlight, look.skylight, strict=True)):
         albedo = jnp.where(is_tree, tree_rgb[c], ground_rgb[c])
         albedo = jnp.where(is_box, jnp.where(on_roof, roof_rgb[c], wall_rgb[c]), albedo)
         colour = albedo * (sun * lit + ambient * (0.75 + 0.25 * light))

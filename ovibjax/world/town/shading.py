@@ -9,14 +9,12 @@ import jax.numpy as jnp
 
 from ovibjax.world.patterns import Colour, lattice_cell, lattice_value, noise, stripes
 from ovibjax.world.town.layout import Town
+from ovibjax.world.town.style import GRASS, ROAD, WALK, YARD, Look
 
 SEMANTIC_CLASSES: tuple[str, ...] = (
     *("sky", "building", "roof", "road", "road_line", "sidewalk", "terrain", "vegetation"),
 )
 """Semantic classes, in the order of their integer codes."""
-
-SUN = (0.46, -0.54, 0.705)
-"""Unit direction towards the sun."""
 
 
 def _line(distance: jax.Array, half_width: float, footprint: jax.Array) -> jax.Array:
@@ -32,7 +30,7 @@ def _mix(a: jax.Array, b: jax.Array | float, share: jax.Array) -> jax.Array:
 
 @jax.jit
 def shade_wall(
-    hit: Colour, row: list[jax.Array], faces_x: jax.Array, ray: Colour, footprint: jax.Array
+    look: Look, hit: Colour, row: list[jax.Array], faces_x: jax.Array, ray: Colour, footprint: jax.Array
 ) -> tuple[Colour, jax.Array]:
     """Façade: storeys, bays, window panes that differ from each other, plinth and weathering."""
     along = jnp.where(faces_x, hit[1] - row[1], hit[0] - row[0])
@@ -51,8 +49,8 @@ def shade_wall(
     plinth = jnp.where(height < 1.1, 0.72, 1.0)
     outward_x = jnp.where(ray[0] < 0, 1.0, -1.0)
     outward_y = jnp.where(ray[1] < 0, 1.0, -1.0)
-    light = jnp.where(faces_x, outward_x * SUN[0], outward_y * SUN[1])
-    rgb = [_mix(row[6 + c] * wear * band * plinth, glass * tint, window) for c, tint in enumerate((0.8, 0.95, 1.1))]
+    light = jnp.where(faces_x, outward_x * look.sun[0], outward_y * look.sun[1])
+    rgb = [_mix(row[6 + c] * wear * band * plinth, glass * look.glass[c], window) for c in range(3)]
     return rgb, light
 
 
@@ -70,17 +68,17 @@ def shade_roof(hit: Colour, row: list[jax.Array], footprint: jax.Array) -> Colou
 
 
 @jax.jit
-def shade_tree(hit: Colour, row: list[jax.Array], footprint: jax.Array) -> tuple[Colour, jax.Array]:
+def shade_tree(look: Look, hit: Colour, row: list[jax.Array], footprint: jax.Array) -> tuple[Colour, jax.Array]:
     """Leafy crown on a brown trunk."""
     normal = [(hit[a] - row[a]) / jnp.maximum(row[3], 0.1) for a in range(3)]
     on_trunk = normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2 > 1.1
     leaf = noise((hit[0] + hit[2] * 0.7) * 2.3, (hit[1] - hit[2] * 0.6) * 2.3, 21)
     leaf = _mix(leaf, 0.5, jnp.clip(footprint * 1.5, 0.0, 1.0))
     tone = 0.55 + 0.9 * leaf
-    light = normal[0] * SUN[0] + normal[1] * SUN[1] + normal[2] * SUN[2]
+    light = normal[0] * look.sun[0] + normal[1] * look.sun[1] + normal[2] * look.sun[2]
     light = jnp.where(on_trunk, 0.3, 0.35 + 0.65 * jnp.clip(light, -0.5, 1.0))
     warm = row[4]
-    green = [(0.16 + 0.20 * warm) * tone, (0.30 + 0.08 * warm) * tone, 0.10 * tone]
+    green = [(look.leaf[0, c] + look.leaf[1, c] * warm) * tone for c in range(3)]
     bark = (0.30, 0.22, 0.15)
     return [jnp.where(on_trunk, b, g) for g, b in zip(green, bark, strict=True)], light
 
@@ -130,14 +128,14 @@ def shade_ground(town: Town, hit: Colour, footprint: jax.Array) -> tuple[Colour,
     yard = 0.26 + 0.26 * tint + 0.10 * fine
     grass = 0.75 + 0.35 * fine + 0.3 * broad
     rgb = []
-    for road_c, walk_c, yard_c, grass_c, warm_c in zip(
-        *((0.97, 0.98, 1.04), (1.04, 1.0, 0.94), (1.08, 1.0, 0.86), (0.24, 0.36, 0.13), (0.45, 0.0, -0.4)),
-        strict=True,
-    ):
+    ground = town.look.ground
+    for c, warm_c in enumerate((0.45, 0.0, -0.4)):
         tinted = 1 + warm_c * warm
-        inside = jnp.where(lawn > 0.5, grass * (grass_c + 0.10 * (tint - 0.5)), yard * yard_c) * tinted
-        road = _mix(asphalt * road_c, 0.86, paint)
-        rgb.append(jnp.where(on_road, road, jnp.where(on_pavement, walk * walk_c * tinted, inside)))
+        inside = (
+            jnp.where(lawn > 0.5, grass * (ground[GRASS, c] + 0.10 * (tint - 0.5)), yard * ground[YARD, c]) * tinted
+        )
+        road = _mix(asphalt * ground[ROAD, c], 0.86, paint)
+        rgb.append(jnp.where(on_road, road, jnp.where(on_pavement, walk * ground[WALK, c] * tinted, inside)))
     painted = on_road & (paint > 0.35)
     ids = {name: i for i, name in enumerate(SEMANTIC_CLASSES)}
     klass = jnp.where(painted, ids["road_line"], ids["road"])
@@ -163,17 +161,23 @@ def _block_value(table: jax.Array, i: jax.Array, j: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def shade_sky(direction: Colour) -> tuple[Colour, Colour]:
+def towards_sun(look: Look, direction: Colour) -> jax.Array:
+    """Cosine of the angle between a ray and the sun, from 0: a stage of its own, as six colours need the same one."""
+    sun = look.sun
+    return jnp.clip(direction[0] * sun[0] + direction[1] * sun[1] + direction[2] * sun[2], 0.0, 1.0)
+
+
+@jax.jit
+def shade_sky(look: Look, direction: Colour, sun_cosine: jax.Array) -> tuple[Colour, Colour]:
     """Sky with clouds and a sun, and the haze colour far things fade into."""
     up = jnp.clip(direction[2], 0.0, 1.0)
-    towards_sun = jnp.clip(direction[0] * SUN[0] + direction[1] * SUN[1] + direction[2] * SUN[2], 0.0, 1.0)
-    glow = towards_sun**8 * 0.25
+    glow = sun_cosine**8 * 0.25
     scale = 1.0 / jnp.maximum(direction[2], 0.06)
     u, v = direction[0] * scale, direction[1] * scale
     cloud = 0.6 * noise(u * 1.1 + 3.0, v * 1.1, 61) + 0.4 * noise(u * 2.9, v * 2.9 + 5.0, 67)
-    cloud = jnp.clip((cloud - 0.48) * 3.2, 0.0, 1.0) * jnp.clip(direction[2] * 6, 0.0, 1.0)
+    cloud = jnp.clip((cloud - look.clear) * 3.2, 0.0, 1.0) * jnp.clip(direction[2] * 6, 0.0, 1.0)
     sky, haze = [], []
-    for top, horizon, sun in zip((0.10, 0.26, 0.62), (0.56, 0.66, 0.78), (1.0, 0.8, 0.5), strict=True):
+    for top, horizon, sun in zip(look.sky_top, look.horizon, (1.0, 0.8, 0.5), strict=True):
         clear = _mix(jnp.full_like(up, horizon), top, jnp.sqrt(up)) + glow * sun
         sky.append(_mix(clear, 0.92, 0.8 * cloud))
         haze.append(jnp.full_like(up, horizon) + 0.6 * glow * sun)
