@@ -6,15 +6,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from ovibjax.cards.raw_images import PAPER_UPLOAD_S, upload_s
 from ovibjax.cards.retrieval_benchmark import RAW, Point
+from ovibjax.cards.retrieval_claims import PAPER, PAPER_M
 from ovibjax.cards.retrieval_study import PREFIXES, PRUNED, RECALL, SCENES, TILE_COUNTS, TILES, RetrievalStudy
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import Interval, interval
 from ovibjax.report.panels import Bar, bars, columns, headroom, sheet
-
-PAPER = {"raw_ms": 3590.0, "brute_ms": 5.75, "fine_ms": 4.21, "pruned": 0.933, "scene": 0.985, "tile": 0.985}
-PAPER_M = {"brute": 2.60, "fine": 6.52, "hit": 2.60}
-"""The paper's numbers: latency, shares, and mean errors."""
 
 _PAPER_STAR: dict[str, Any] = {"marker": "*", "ls": "", "color": "black", "ms": 6, "mfc": "white", "mew": 0.8}
 
@@ -31,8 +29,10 @@ def draw(path: Path, found: RetrievalStudy) -> None:
 
 
 def _draw_latency(ax: Axes, found: RetrievalStudy) -> None:
+    raw = [("Raw images", 1e3 * float(upload_s(found.raw_bytes).mean()), fig.GREY)] if len(found.raw_bytes) else []
     times = (
-        ("Raw images\n(paper)", PAPER["raw_ms"], fig.GREY),
+        ("Raw images\n(paper)", 1e3 * PAPER_UPLOAD_S, fig.GREY),
+        *raw,
         ("Brute force\n(paper)", PAPER["brute_ms"], fig.SKY),
         ("Coarse-to-fine\n(paper)", PAPER["fine_ms"], fig.YELLOW),
         ("Brute force", found.median_ms("brute_1"), fig.BLUE),
@@ -48,7 +48,7 @@ def _draw_latency(ax: Axes, found: RetrievalStudy) -> None:
 
 
 def _draw_recall(ax: Axes, found: RetrievalStudy) -> None:
-    part = found.grid[found.chosen[2]]
+    part = found.grid[found.paper.tile_m]
     scene_hit = 100 * np.asarray(part.scene_hit)[:, :, 0]
     fig.band(ax, np.arange(1, found.n_scenes + 1), scene_hit, fig.GREY, "Scene, top n", "--", "s")
     hits = np.asarray(part.tile_hit)
@@ -64,7 +64,7 @@ def _draw_recall(ax: Axes, found: RetrievalStudy) -> None:
     ax.set_ylabel("Recall (%)")
     ax.set_ylim(0, 104)
     ax.legend(loc="lower right")
-    fig.title(ax, "b", f"Recall, tiles of {found.chosen[2]:g} m")
+    fig.title(ax, "b", f"Recall, tiles of {found.paper.tile_m:g} m")
 
 
 def _draw_grid(ax: Axes, found: RetrievalStudy) -> None:

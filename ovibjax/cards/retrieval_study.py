@@ -8,7 +8,16 @@ import jax
 import numpy as np
 
 from ovibjax.cards.job import Job
-from ovibjax.cards.retrieval_benchmark import RAW, Benchmark, Point, five_towns, judge_draw, make_benchmark
+from ovibjax.cards.raw_images import raw_payload_bytes
+from ovibjax.cards.retrieval_benchmark import (
+    PAPER_TILE_M,
+    RAW,
+    Benchmark,
+    Point,
+    five_towns,
+    judge_draw,
+    make_benchmark,
+)
 from ovibjax.cards.retrieval_timing import time_growth, time_search
 from ovibjax.edge.pruning import Pruning
 from ovibjax.errors import InputError
@@ -23,7 +32,7 @@ PREFIX = 35
 PREFIXES = (16, 35, 128, RAW)
 PRUNED, RECALL = 0.90, 0.98
 """What is asked of an operating point: share of descriptors pruned, and recall of the right tile."""
-GROWTH_TILE_M = 30.0
+RAW_FRAMES = 2  # frames of each town that are stored as image files
 COLUMNS = ("pruned", "scene_hit", "tile_hit", "error_m", "brute_m", "error_hit_m", "brute_hit_m", "wrong_scene", "same")
 MIN_SCENE_FRAMES = 20
 
@@ -39,7 +48,7 @@ class StudySize:
         tuning: draws that choose the operating point, seeds 0, 1, ...
         draws: held-out draws.
         steps: training steps of the code.
-        edges: tile edges swept, m.
+        edges: tile edges swept, m; `PAPER_TILE_M` among them.
         sizes: database sizes timed.
         repeats: measurements of a time.
     """
@@ -63,11 +72,12 @@ class RetrievalStudy:
         seeds: held-out draws.
         n_scenes: scenes of the data.
         grid: per tile edge, outcomes [draw, scenes, tiles] on the held-out draws, at the headline prefix.
-        paper: the paper's numbers of scenes and tiles at the edge that tuning chose for them.
+        paper: the paper's numbers of scenes and tiles, and tiles of the size that these imply.
         chosen: the operating point that tuning chose.
         by_prefix: outcomes [draw] at the chosen point per prefix length.
         times: milliseconds per query on this machine at the chosen point.
         growth: one row per database size.
+        raw_bytes: bytes of frames as image files; none of data without images.
     """
 
     seeds: list[int]
@@ -78,6 +88,7 @@ class RetrievalStudy:
     by_prefix: dict[int, Pruning]
     times: dict[str, list[float]]
     growth: list[dict[str, float]]
+    raw_bytes: np.ndarray
 
     def at(self, point: Point, name: str) -> np.ndarray:
         """[draws] a measure at a grid point."""
@@ -108,21 +119,23 @@ def measure(job: Job, size: StudySize) -> RetrievalStudy:
         InputError: a scene of somebody's data has fewer than 20 frames.
     """
     features, n_scenes = _scenes(job, size)
+    paper = Point(min(SCENES, n_scenes), TILES, PAPER_TILE_M)
     queries = min(size.queries, len(features.features) // 10)
     with job.stage("train"), console.status("training the code"):
         benchmark = make_benchmark(features, PREFIXES, job.rank, size.steps)
     tuning, seeds = list(range(size.tuning)), [job.seed + i for i in range(size.draws)]
     with job.stage("judge"):
         tuned, grid = _judge_grid(benchmark, queries, n_scenes, size.edges, (tuning, seeds))
-        paper = choose(tuned, [min(SCENES, n_scenes)], [TILES])
         chosen = choose(tuned, range(1, n_scenes + 1), TILE_COUNTS)
         by_prefix = {k: _at_prefix(benchmark, seeds, queries, k, chosen) for k in PREFIXES}
     with job.stage("time"), console.status("timing the search"):
         times = time_search(benchmark, seeds[0], queries, PREFIX, chosen, 20 * size.repeats)
     with job.stage("time"), progress_bar("timing larger databases", len(size.sizes)) as update:
         batch = min(64, queries)
-        growth = time_growth(benchmark, size.sizes, batch, TILES, GROWTH_TILE_M, size.repeats, update)
-    return RetrievalStudy(seeds, n_scenes, grid, paper, chosen, by_prefix, times, growth)
+        growth = time_growth(benchmark, size.sizes, batch, TILES, PAPER_TILE_M, size.repeats, update)
+    with job.stage("render"):
+        raw = raw_payload_bytes(size.towns if job.own_features is None else 0, RAW_FRAMES)
+    return RetrievalStudy(seeds, n_scenes, grid, paper, chosen, by_prefix, times, growth, raw)
 
 
 def _scenes(job: Job, size: StudySize) -> tuple[FeatureSet, int]:

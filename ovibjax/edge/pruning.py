@@ -41,7 +41,7 @@ class Pruning(NamedTuple):
         brute_m: the same of exhaustive retrieval (equal at all points).
         error_hit_m: error over the queries whose right tile is kept; NaN where there are none.
         brute_hit_m: the same of exhaustive retrieval.
-        kept_excess_m: part of `error_m - brute_m` due to queries whose right tile is kept.
+        astray_excess_m: part of `error_m - brute_m` due to queries answered with another scene.
         wrong_scene: share of queries answered with another scene.
         same: share of queries with the exhaustive answer.
         floor_m: distance to the nearest reference of the query's scene (equal at all points).
@@ -55,7 +55,7 @@ class Pruning(NamedTuple):
     brute_m: jax.Array
     error_hit_m: jax.Array
     brute_hit_m: jax.Array
-    kept_excess_m: jax.Array
+    astray_excess_m: jax.Array
     wrong_scene: jax.Array
     same: jax.Array
     floor_m: jax.Array
@@ -95,6 +95,7 @@ def judge_pruning(asked: Asked, index: Index, position_m: jax.Array, scenes: jax
             kept = open_tile & (place < n_tiles)
             row = jnp.argmax(jnp.where(kept[:, index.row_tile], similarity, -jnp.inf), axis=1)
             error_m = errors(position_m[row], asked.truth_m)
+            astray = row_scene[row] != asked.scene
             hit = jnp.take_along_axis(kept, right[:, None], axis=1)[:, 0]
             n_hit = jnp.sum(hit.astype(jnp.float32))
 
@@ -110,8 +111,8 @@ def judge_pruning(asked: Asked, index: Index, position_m: jax.Array, scenes: jax
                 brute_m=jnp.mean(brute_m),
                 error_hit_m=over_hits(error_m),
                 brute_hit_m=over_hits(brute_m),
-                kept_excess_m=jnp.mean(jnp.where(hit, error_m - brute_m, 0.0)),
-                wrong_scene=jnp.mean(row_scene[row] != asked.scene),
+                astray_excess_m=jnp.mean(jnp.where(astray, error_m - brute_m, 0.0)),
+                wrong_scene=jnp.mean(astray),
                 same=jnp.mean(row == brute),
                 floor_m=jnp.mean(jnp.min(apart, axis=1)),
             )

@@ -56,7 +56,7 @@ _brute_force = jax.jit(brute_force)
 
 
 def drives() -> list[FeatureSet]:
-    """Five drives, 4,593 frames; the same as the retrieval figure's, from the cache if it has them."""
+    """Five drives, 4,593 frames, all in the default style, as the figures above; from the cache if it has them."""
     made = []
     with progress_bar("rendering five towns", sum(FRAMES)) as update:
         for i, (seed, frames) in enumerate(zip(TOWNS, FRAMES, strict=True)):

@@ -237,7 +237,7 @@ def test_the_grid_of_a_study_equals_the_search(case, scenes, tiles):
         "brute_m": brute.mean(),
         "error_hit_m": error[hit].mean(),
         "brute_hit_m": brute[hit].mean(),
-        "kept_excess_m": np.where(hit, error - brute, 0).mean(),
+        "astray_excess_m": np.where(scene[row] != scene[:64], error - brute, 0).mean(),
         "wrong_scene": np.mean(scene[row] != scene[:64]),
         "floor_m": 0.0,
     }
