@@ -29,9 +29,9 @@ def draw(path: Path, found: RetrievalStudy) -> None:
 
 
 def _draw_latency(ax: Axes, found: RetrievalStudy) -> None:
-    raw = [("Raw images", 1e3 * float(upload_s(found.raw_bytes).mean()), fig.GREY)] if len(found.raw_bytes) else []
+    raw = [("Image upload", 1e3 * float(upload_s(found.raw_bytes).mean()), fig.GREY)] if len(found.raw_bytes) else []
     times = (
-        ("Raw images\n(paper)", 1e3 * PAPER_UPLOAD_S, fig.GREY),
+        ("Image upload\n(paper)", 1e3 * PAPER_UPLOAD_S, fig.GREY),
         *raw,
         ("Brute force\n(paper)", PAPER["brute_ms"], fig.SKY),
         ("Coarse-to-fine\n(paper)", PAPER["fine_ms"], fig.YELLOW),
@@ -85,7 +85,7 @@ def _draw_grid(ax: Axes, found: RetrievalStudy) -> None:
     ax.set_xlabel("Tile recall (%)")
     ax.set_ylabel("Descriptors pruned (%)")
     boxed = {"frameon": True, "framealpha": 0.9, "edgecolor": "w"}
-    ax.legend(loc="lower left", ncols=2, columnspacing=0.8, handletextpad=0.2, **boxed)
+    ax.legend(loc="lower left", handletextpad=0.2, **boxed)
     fig.title(ax, "c", "Pruned share")
 
 
