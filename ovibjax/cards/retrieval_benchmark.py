@@ -27,7 +27,7 @@ TOWNS = (5, 6, 7, 8, 9)
 SIZE_M = 220.0
 FRAMES, QUERIES = 4593, 400
 """The paper's sampled benchmark: frames in five scenes, queries among them."""
-PAPER_TILE_M = 30.0
+TILE_M = 30.0
 """Tiles of the paper's operating point. "93.3% of fine-search descriptors pruned" leaves twelve tiles 6.7 % of 4,193
 descriptors (frames less queries), 23.4 each. Tiles of 30 m hold 24.1 on our drives, of 20 m 15.0, of 40 m 35.2."""
 POOL = 0.3

@@ -9,15 +9,7 @@ import numpy as np
 
 from ovibjax.cards.job import Job
 from ovibjax.cards.raw_images import raw_payload_bytes
-from ovibjax.cards.retrieval_benchmark import (
-    PAPER_TILE_M,
-    RAW,
-    Benchmark,
-    Point,
-    five_towns,
-    judge_draw,
-    make_benchmark,
-)
+from ovibjax.cards.retrieval_benchmark import RAW, TILE_M, Benchmark, Point, five_towns, judge_draw, make_benchmark
 from ovibjax.cards.retrieval_timing import time_growth, time_search
 from ovibjax.edge.pruning import Pruning
 from ovibjax.errors import InputError
@@ -48,7 +40,7 @@ class StudySize:
         tuning: draws that choose the operating point, seeds 0, 1, ...
         draws: held-out draws.
         steps: training steps of the code.
-        edges: tile edges swept, m; `PAPER_TILE_M` among them.
+        edges: tile edges swept, m; `TILE_M` among them.
         sizes: database sizes timed.
         repeats: measurements of a time.
     """
@@ -119,7 +111,7 @@ def measure(job: Job, size: StudySize) -> RetrievalStudy:
         InputError: a scene of somebody's data has fewer than 20 frames.
     """
     features, n_scenes = _scenes(job, size)
-    paper = Point(min(SCENES, n_scenes), TILES, PAPER_TILE_M)
+    paper = Point(min(SCENES, n_scenes), TILES, TILE_M)
     queries = min(size.queries, len(features.features) // 10)
     with job.stage("train"), console.status("training the code"):
         benchmark = make_benchmark(features, PREFIXES, job.rank, size.steps)
@@ -132,7 +124,7 @@ def measure(job: Job, size: StudySize) -> RetrievalStudy:
         times = time_search(benchmark, seeds[0], queries, PREFIX, chosen, 20 * size.repeats)
     with job.stage("time"), progress_bar("timing larger databases", len(size.sizes)) as update:
         batch = min(64, queries)
-        growth = time_growth(benchmark, size.sizes, batch, TILES, PAPER_TILE_M, size.repeats, update)
+        growth = time_growth(benchmark, size.sizes, batch, TILES, TILE_M, size.repeats, update)
     with job.stage("render"):
         raw = raw_payload_bytes(size.towns if job.own_features is None else 0, RAW_FRAMES)
     return RetrievalStudy(seeds, n_scenes, grid, paper, chosen, by_prefix, times, growth, raw)
