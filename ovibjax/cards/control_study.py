@@ -1,5 +1,6 @@
 """The request-control study that the paper's figures share: sizes by preset, computed once per process."""
 
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -35,26 +36,44 @@ class Point(NamedTuple):
         drift_scale: factor on every drift rate.
         budget_kb: payload per route, KB.
         protocol: one of `protocols.PROTOCOLS`.
+        correction: one of `controller.CORRECTIONS`.
+        gate_sigma: innovation above which a correction is discarded.
     """
 
     model: str = "rate"
     drift_scale: float = 1.0
     budget_kb: float = PAPER_BUDGET_KB
     protocol: str = "paper"
+    correction: str = "replace"
+    gate_sigma: float = math.inf
 
 
-PAPER, TRANSFER = Point(), Point(protocol="transfer")
-"""The paper's setting, and the same with routes that prices were not tuned on."""
+GATE_SIGMA = 3.0
+"""An innovation gate as navigation filters have it. The paper has none."""
+
+PAPER, GATED = Point(), Point(gate_sigma=GATE_SIGMA)
+"""The paper's setting; the same, but corrections that look impossible to the client are discarded."""
+
+ALWAYS = (
+    *(PAPER, GATED),
+    *(point._replace(protocol="transfer") for point in (PAPER, GATED)),
+    *(point._replace(correction="kalman") for point in (PAPER, GATED)),
+)
+"""Routes that prices were tuned on and others; what a client may do with a correction."""
 
 SENSITIVITY = tuple(
     dict.fromkeys(
         point
         for model in DRIFT_MODELS
         for factor in FACTORS
-        for point in (Point(model, factor), Point(model, budget_kb=factor * PAPER_BUDGET_KB))
+        for gate_sigma in (GATE_SIGMA, math.inf)
+        for point in (
+            Point(model, factor, gate_sigma=gate_sigma),
+            Point(model, budget_kb=factor * PAPER_BUDGET_KB, gate_sigma=gate_sigma),
+        )
     )
 )
-"""Every drift model with its rates or the budget scaled."""
+"""Every drift model with its rates or the budget scaled, with a gate and without."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +98,7 @@ class ControlPreset:
 PRESETS = {
     "smoke": ControlPreset(60, 2, StudySize(8, 2, 4), False, CheckpointConfig(steps=20, mixed=256)),
     "quick": ControlPreset(PAPER_SLOTS, DRIVES, StudySize(256, 8, 30), True, CheckpointConfig()),
-    "full": ControlPreset(PAPER_SLOTS, DRIVES, StudySize(512, 16, 120), True, CheckpointConfig()),
+    "full": ControlPreset(PAPER_SLOTS, DRIVES, StudySize(512, 8, 120), True, CheckpointConfig()),
 }
 
 
@@ -89,7 +108,7 @@ class ControlStudy:
 
     Attributes:
         scene: routes, residuals and predictor.
-        points: settings; the first two are `PAPER` and `TRANSFER`.
+        points: settings; the first are `ALWAYS`.
         outcome: search and held-out summaries, leading axis [settings].
         env: the environment of the first setting.
         control: the chosen configuration at the first setting.
@@ -165,13 +184,15 @@ def control_study(
 
 
 def _make(preset: ControlPreset, first_seed: int, scene: Scene) -> ControlStudy:
-    points = tuple(dict.fromkeys((PAPER, TRANSFER, *(SENSITIVITY if preset.sensitivity else ()))))
+    points = tuple(dict.fromkeys((*ALWAYS, *(SENSITIVITY if preset.sensitivity else ()))))
     envs = [make_environment(scene.context_share, PAPER_PROFILE_KB_PER_S, p.drift_scale, p.model) for p in points]
     settings = Setting(
         drift=jax.tree.map(lambda *leaves: jnp.stack(leaves), *(env.drift for env in envs)),
         budget_kb=jnp.array([p.budget_kb for p in points], jnp.float32),
         mean_kb_per_s=jnp.stack([env.mean_kb_per_s for env in envs]),
         protocol=jnp.array([PROTOCOLS.index(p.protocol) for p in points], jnp.int32),
+        replaces=jnp.array([p.correction == "replace" for p in points]),
+        gate_sigma=jnp.array([p.gate_sigma for p in points], jnp.float32),
     )
     outcome = jax.device_get(run_study(scene, settings, preset.size, first_seed))
     seeds = [first_seed + i for i in range(preset.size.held_out_seeds)]

@@ -51,12 +51,16 @@ class Setting(NamedTuple):
         budget_kb: payload per route, KB.
         mean_kb_per_s: link profile, KB/s.
         protocol: int32, which routes and seeds.
+        replaces: whether corrections replace the estimate.
+        gate_sigma: innovation above which they are discarded.
     """
 
     drift: Drift
     budget_kb: jax.Array
     mean_kb_per_s: jax.Array
     protocol: jax.Array
+    replaces: jax.Array
+    gate_sigma: jax.Array
 
 
 class RoutesAndSeeds(NamedTuple):
@@ -122,6 +126,10 @@ def study(
 
     def one(setting: Setting) -> Outcome:
         world = env._replace(drift=setting.drift, mean_kb_per_s=setting.mean_kb_per_s)
+        handled = tried._replace(
+            replaces=jnp.broadcast_to(setting.replaces, tried.replaces.shape),
+            gate_sigma=jnp.broadcast_to(setting.gate_sigma, tried.gate_sigma.shape),
+        )
         budget = jnp.full_like(tried.budget_bytes, 1024.0) * setting.budget_kb
 
         tuned_on, judged_on = jax.tree.map(lambda leaf: leaf[setting.protocol], (tuning, held_out))
@@ -130,11 +138,11 @@ def study(
             return jax.vmap(lambda key: draw(key, route, world, actions))(keys)
 
         draws = jax.vmap(of_route)(*tuned_on)  # drawn once for the three searches
-        uncapped = tried._replace(budget_bytes=jnp.full_like(tried.budget_bytes, jnp.inf))
+        uncapped = handled._replace(budget_bytes=jnp.full_like(tried.budget_bytes, jnp.inf))
         searched = search_variants(draws, tuned_on.routes, world, uncapped, actions)
         searched["uncertainty"] = search(draws, tuned_on.routes, world, uncapped, "uncertainty", actions)
         best = {policy: lowest_risk(result, setting.budget_kb) for policy, result in searched.items()}
-        found = {policy: take(tried._replace(budget_bytes=budget), index) for policy, index in best.items()}
+        found = {policy: take(handled._replace(budget_bytes=budget), index) for policy, index in best.items()}
         control, gap_control = (found[policy]._replace(rules=rules) for policy in ("voi", "voi_gap"))
         tuned = found["uncertainty"].rules
         params = ControlParams(world, control)

@@ -37,6 +37,8 @@ def inputs(seed, tuning, held_out, points):
             jax.tree.map(lambda *leaves: jnp.stack(leaves), *drifts),
             *(jnp.asarray(x, jnp.float32) for x in (budgets, [8.0, 2.0])),
             jnp.array([0, 1]),
+            jnp.array([True, False]),
+            jnp.float32([jnp.inf, 2.0]),
         ),
         environment(initial_risk_m=5.0123),
         tried._replace(prices=prices),
@@ -68,7 +70,8 @@ def at(arguments, setting):
     settings, env, tried = arguments[:3]
     drift = jax.tree.map(lambda leaf: leaf[setting], settings.drift)
     env = env._replace(drift=drift, mean_kb_per_s=settings.mean_kb_per_s[setting])
-    return env, tried, float(settings.budget_kb[setting])
+    handled = {name: jnp.full(COUNT, getattr(settings, name)[setting]) for name in ("replaces", "gate_sigma")}
+    return env, tried._replace(**handled), float(settings.budget_kb[setting])
 
 
 def uncapped(control):
