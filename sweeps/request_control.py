@@ -32,16 +32,16 @@ def run(job: Job) -> None:
 
 def judge_claims(found: ControlStudy) -> list[Claim]:
     """What the paper says of the dynamics."""
-    grown = {policy: risk_when_asking(found, policy) for policy in ("voi", "budgeted_periodic")}
+    grown = {policy: drift_when_asking(found, policy) for policy in ("voi", "budgeted_periodic")}
     requests, kb = found.of("voi", "requests"), found.of("voi", "kb")
     return [
         _lower(found, "fixed_front"),
         _lower(found, "random"),
         Claim.less(
-            "VOI-Control sends its requests when uncertainty has grown more than evenly spaced ones meet",
+            "VOI-Control sends its requests where uncertainty grows faster than at as many evenly spaced ones",
             "concentrates uploads around uncertainty growth",
-            " / ".join(f"{NAMES[policy]} {interval(risk).text('m')}" for policy, risk in grown.items())
-            + " of local risk at a request",
+            " / ".join(f"{NAMES[policy]} {interval(rate).text('m/s')}" for policy, rate in grown.items())
+            + " of drift at a request",
             *(grown["budgeted_periodic"], grown["voi"]),
             rule="whole 95 % interval of the paired difference above zero",
         ),
@@ -56,11 +56,11 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
     ]
 
 
-def risk_when_asking(found: ControlStudy, policy: str) -> np.ndarray:
-    """[seeds] mean local risk at a policy's requests; NaN where it sent none."""
-    run = found.runs[policy]
-    count = run.sent.sum(axis=1)
-    return np.where(count > 0, (run.risk_before_m * run.sent).sum(axis=1) / np.maximum(count, 1), np.nan)
+def drift_when_asking(found: ControlStudy, policy: str) -> np.ndarray:
+    """[seeds] mean drift rate, m/s, in the slots in which a policy asked; NaN where it sent none."""
+    sent = found.runs[policy].sent
+    rate = np.asarray(found.env.drift.rate_m_per_s)[found.route.context]
+    return np.where(sent.any(axis=1), (rate * sent).sum(axis=1) / np.maximum(sent.sum(axis=1), 1), np.nan)
 
 
 def _lower(found: ControlStudy, rival: str) -> Claim:

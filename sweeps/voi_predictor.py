@@ -112,9 +112,7 @@ def _draw_search(ax: Axes, found: ControlStudy) -> None:
 
 def _draw_p95_reduction(ax: Axes, found: ControlStudy) -> None:
     draw_reductions(ax, found, "p95_m", 31.0)
-    ax.legend(loc="lower left", ncols=2, fontsize=5.5, columnspacing=0.8, handlelength=1.6)
-    low, high = ax.get_ylim()
-    ax.set_ylim(low - 0.45 * (high - low), high)
+    ax.legend(loc="lower left", ncols=2, fontsize=5.5, columnspacing=0.6, handlelength=1.4)
 
 
 PANELS: dict[str, panels.Panel] = {

@@ -10,13 +10,13 @@ from ovibjax.cards.scheduling_study import PAPER_TIES, metric_of, paper_cases
 from ovibjax.control.protocols import seeds_to_keys
 from ovibjax.runtime.progress import console
 from ovibjax.scheduling.clients import default_trace_params
-from ovibjax.scheduling.congestion import LEVELS, Case, compare
+from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case, compare
 from ovibjax.scheduling.events import Events
 from ovibjax.scheduling.replay_metrics import ReplayMetrics
 from ovibjax.scheduling.rules import default_params
 from ovibjax.scheduling.ties import TIES
 
-SPREADS_S = (0.27, 0.54, 1.08, 2.16, 4.32)
+SPREADS_S = tuple(PHASE_SPREAD_S * factor for factor in (0.5, 1.0, 2.0, 4.0, 8.0))
 LOADS = (10, 20, 30, 45)
 
 
@@ -26,11 +26,13 @@ class Congestion:
 
     Attributes:
         levels: [levels, seeds, ties] by rule, at the paper's V.
+        equal_urgency: the same where every mission is equally urgent.
         varied: [spreads x loads, seeds, 1] by rule, at 4 KB/s and `PAPER_TIES`.
         requests: requests per client.
     """
 
     levels: dict[str, ReplayMetrics]
+    equal_urgency: dict[str, ReplayMetrics]
     varied: dict[str, ReplayMetrics]
     requests: int
 
@@ -38,12 +40,18 @@ class Congestion:
         """[seeds] a metric of a rule."""
         return metric_of(self.levels[rule], scope, metric)[list(LEVELS).index(level), :, TIES.index(ties)]
 
+    def cut_percent(self, levels: dict[str, ReplayMetrics]) -> np.ndarray:
+        """[seeds] by how much VOI-Lyapunov cuts Base-DPP's edge p95 of the top decile at high congestion."""
+        at = list(LEVELS).index("high"), slice(None), TIES.index(PAPER_TIES)
+        voi, base = (metric_of(levels[rule], "top10", "edge_p95_ms")[at] for rule in ("voi_lyapunov", "base_dpp"))
+        return 100.0 * (base - voi) / base
+
 
 def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) -> Congestion:
     """Replay every rule at the paper's congestion levels under all ties, and some at other loads and phase spreads.
 
     Args:
-        events: recorded requests of one client.
+        events: requests of recorded replays, [S, E].
         seeds: scheduler seeds.
         sensitivity_seeds: how many of them, from the first, the other loads and spreads are replayed with.
 
@@ -62,5 +70,8 @@ def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) 
     rivals = ("voi_lyapunov", "base_dpp", "fifo")
     with console.status("replaying the schedulers"):
         levels = compare(keys, events, paper_cases(*LEVELS), trace, by_ties, most)
+        alike = trace._replace(urgency_low=jnp.float32(1.0), urgency_high=jnp.float32(1.0))
+        equal_urgency = compare(keys, events, paper_cases(*LEVELS), alike, by_ties, most)
         varied = compare(keys[:sensitivity_seeds], events, cases, trace, params, max(LOADS), rivals)
-        return Congestion(jax.device_get(levels), jax.device_get(varied), int(events.valid.sum()))
+        levels, equal_urgency, varied = jax.device_get((levels, equal_urgency, varied))
+        return Congestion(levels, equal_urgency, varied, int(events.valid[0].sum()))

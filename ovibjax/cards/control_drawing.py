@@ -72,15 +72,15 @@ def draw_error(ax: Axes, found: ControlStudy, metric: str, paper_m: Mapping[str,
     rows = []
     for policy in policies:
         span = interval(found.of(policy, metric))
-        rows.append(panels.Bar(NAMES[policy], span, COLOURS[policy], paper_m.get(policy), f"{span.mean:.1f}"))
-    panels.bars(ax, rows, inside=True)
+        rows.append(panels.Bar(f"{NAMES[policy]}  {span.mean:.1f}", span, COLOURS[policy], paper_m.get(policy)))
+    panels.bars(ax, rows)
     gated = [interval(found.of(policy, metric, GATED)) for policy in policies]
     mean, cap = [span.mean for span in gated], [span.cap for span in gated]
     look: dict[str, Any] = {"fmt": "D", "ms": 3.5, "mfc": "white", "mec": "black", "ecolor": "black", "lw": 0.8}
     ax.errorbar(mean, range(len(policies)), xerr=cap, label="with a gate (ours)", zorder=5, **look)
-    ax.set(xlabel="route error (m)", xscale="log")
-    fig.plain_log_ticks(ax.xaxis)
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    # A bar may go on beyond the panel; its value stands beside its name.
+    ax.set(xlabel="route error (m)", xlim=(0, 1.6 * max(*mean, *paper_m.values())))
+    ax.legend(loc="upper right", frameon=True, framealpha=0.85, edgecolor="none")
 
 
 def draw_mean_and_p95(ax: Axes, found: ControlStudy, point: Point) -> None:
@@ -91,14 +91,15 @@ def draw_mean_and_p95(ax: Axes, found: ControlStudy, point: Point) -> None:
     for row, policy in enumerate(by_mean_error(found, point)):
         colour = COLOURS[policy] if policy in ("voi", "oracle_action") else fig.ORANGE
         mean, p95 = interval(found.of(policy, "mean_m", point)), interval(found.of(policy, "p95_m", point))
-        rows.append(panels.Bar(NAMES[policy], mean, colour, PAPER_MEAN_M.get(policy), f"{mean.mean:.2f}"))
+        rows.append(panels.Bar(f"{NAMES[policy]}  {mean.mean:.1f}", mean, colour, PAPER_MEAN_M.get(policy)))
         ax.plot([0, p95.mean], [row, row], color=colour, lw=1, alpha=0.7)
         ax.errorbar(p95.mean, row, xerr=p95.cap, fmt="d", ms=3, color=colour, capsize=2, lw=0.8)
         if policy in PAPER_P95_M:
             panels.paper_tick(ax, PAPER_P95_M[policy], row)
-    panels.bars(ax, rows, inside=True, height=0.6)
+    panels.bars(ax, rows, height=0.6)
     ax.set(xlabel="route error (m): bar mean, diamond p95", xlim=(0, None))
-    ax.legend(ax.get_legend_handles_labels()[0], ["paper (mean, p95)"], loc="lower right")
+    look: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}
+    ax.legend(ax.get_legend_handles_labels()[0], ["paper (mean, p95)"], loc="upper right", **look)
 
 
 def draw_reductions(ax: Axes, found: ControlStudy, metric: str, paper_percent: float) -> None:
@@ -128,4 +129,4 @@ def draw_reductions(ax: Axes, found: ControlStudy, metric: str, paper_percent: f
     ax.annotate("paper", (FACTORS[0], paper_percent), (-2, 2), textcoords="offset points")
     ax.set_xscale("log", base=2)
     ax.set_xticks(FACTORS, [f"{factor:g}x" for factor in FACTORS])
-    ax.set(xlabel="drift rates, or budget", ylabel="reduction (%)")
+    ax.set(xlabel="drift rates, or budget", ylabel="reduction (%)", ylim=(-110, 90))

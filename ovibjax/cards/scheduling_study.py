@@ -3,10 +3,10 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.cards.control_results import representative_replay, study
+from ovibjax.cards.control_results import representative, study
 from ovibjax.cards.job import Job
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case
-from ovibjax.scheduling.events import Events, recorded_events
+from ovibjax.scheduling.events import Events, recorded_runs
 from ovibjax.scheduling.replay_metrics import GroupMetrics, ReplayMetrics
 
 VS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
@@ -28,10 +28,11 @@ PAIRED = "paired 95 % interval above zero"
 
 
 def events_of(job: Job) -> Events:
-    """VOI-Control's requests on the held-out route of the representative seed; what every client replays."""
+    """VOI-Control's requests on the held-out route, [seeds, E]; the representative seed's come first."""
     found = study(job)
     rates = np.asarray(found.env.drift.rate_m_per_s)
-    return recorded_events(representative_replay(found), found.route.context, rates, found.scene.actions)
+    first = representative(found)
+    return recorded_runs(found.runs["voi"], found.route.context, rates, found.scene.actions, first)
 
 
 def paper_cases(*levels: str) -> Case:

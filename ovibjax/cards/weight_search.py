@@ -57,7 +57,7 @@ def search_weights(events: Events, count: int, tuning_seeds: list[int], seeds: l
     """Search on tuning seeds, judge on held-out ones, at high congestion.
 
     Args:
-        events: recorded requests of one client.
+        events: requests of recorded replays, [S, E].
         count: weight vectors tried.
         tuning_seeds: seeds they are tried on.
         seeds: held-out seeds.

@@ -25,9 +25,12 @@ FIXED_FRONT_RISK_M, FIXED_FRONT_GAP_S = 8.0, 1.0
 UNCERTAINTY_RISK_M, UNCERTAINTY_GAP_S = 6.0, 6.0
 """Uncertainty asks above this local risk, with this minimum gap."""
 
-LAMBDA_B_M_PER_S, LAMBDA_D_M_PER_S, THRESHOLD_M, MIN_GAP_S = 117.0, 29.0, 0.27, 9.5
-"""VOI-Control's prices of transmission and delay, its threshold and its gap. The paper publishes none: these are what
-the tuning seeds of the full preset selected."""
+LAMBDA_B_M_PER_S, LAMBDA_D_M_PER_S = 328.2, 0.815
+"""VOI-Control's prices of transmission and delay. The paper publishes none: these are what the tuning seeds of the full
+preset selected."""
+
+THRESHOLD_M, MIN_GAP_S = 0.89, 5.5
+"""Threshold and gap of the variant `voi_gap`, selected alike (with prices of 132.8 and 0.38 m/s)."""
 
 CORRECTIONS = ("replace", "kalman")
 """What a correction does: the edge's position becomes the estimate, or is fused with it."""

@@ -49,6 +49,38 @@ class Events(NamedTuple):
     valid: jax.Array
 
 
+def recorded_runs(
+    runs: RouteResult, context: np.ndarray, rate_m_per_s: np.ndarray, actions: ActionSet, first: int = 0
+) -> Events:
+    """`recorded_events` of several replays of one route, padded to the most requests of any.
+
+    Args:
+        runs: the replays, fields [S, T], on the host; those without a request are left out.
+        context: [T] route context.
+        rate_m_per_s: [C] fitted drift rate by context.
+        actions: what action numbers mean.
+        first: the replay that comes first, which gives a multi-client trace its times.
+
+    Returns:
+        Leaves [S, E].
+
+    Raises:
+        InputError: no replay, or not the first, holds a request.
+    """
+    sent = np.asarray(runs.sent).any(axis=1)
+    others = [s for s in np.flatnonzero(sent) if s != first]
+    each = [
+        recorded_events(jax.tree.map(lambda leaf, s=s: leaf[s], runs), context, rate_m_per_s, actions)
+        for s in (first, *others)
+    ]
+    most = max(len(events.time_s) for events in each)
+
+    def padded(leaf: jax.Array) -> jax.Array:
+        return jnp.pad(leaf, (0, most - len(leaf)))
+
+    return jax.tree.map(lambda *leaves: jnp.stack([padded(leaf) for leaf in leaves]), *each)
+
+
 def recorded_events(run: RouteResult, context: np.ndarray, rate_m_per_s: np.ndarray, actions: ActionSet) -> Events:
     """Requests of one recorded control replay.
 
@@ -130,19 +162,25 @@ def encode_and_send_ms(events: Events, rate_bps: jax.Array) -> jax.Array:
     return compute_ms_at(JETSON, events.prefix) + 1000.0 * transmit_s(events.payload_bytes, rate_bps)
 
 
-def synthetic_events(key: jax.Array, n: int = 22) -> Events:
-    """Plausible events of a route of 296.5 s, for want of recorded ones.
+def synthetic_events(key: jax.Array, n: int = 22, runs: int = 30) -> Events:
+    """Plausible events of several routes of 296.5 s, for want of recorded ones.
 
     The route is cut into stretches of 10 s that are corridors, intersections or repetitive blocks; slots request in the
     proportions that the paper reports for them. Harder contexts drift faster and gain more.
 
     Args:
         key: random key.
-        n: events, at most `PAPER_SLOTS`.
+        n: events of a route, at most `PAPER_SLOTS`.
+        runs: routes S.
 
     Returns:
-        Events in the order of time, at most one per slot, all valid.
+        Leaves [S, n], in the order of time, at most one per slot, all valid.
     """
+    return jax.vmap(lambda run: _synthetic(jax.random.fold_in(key, run), n))(jnp.arange(runs))
+
+
+def _synthetic(key: jax.Array, n: int) -> Events:
+    """`synthetic_events` of one route."""
     context_key, slot_key, mode_key, voi_key, risk_key, drift_key, delay_key = jax.random.split(key, 7)
     shares = jnp.log(jnp.array(_CONTEXT_SHARE, jnp.float32))
     stretches = jax.random.categorical(context_key, shares, shape=(-(-PAPER_SLOTS // _STRETCH_SLOTS),))

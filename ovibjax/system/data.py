@@ -59,7 +59,7 @@ class SystemData(NamedTuple):
         references: [R] int32 frames in the edge's database.
         own: [F] int32 a frame's position in the database, or -1.
         routes: [C, T] int32 frames along the route of each client that is replayed.
-        fleet: [S, N] int32 which of these clients each client of each edge server is.
+        fleet: [S, N] int32 which of these clients each client of each edge server is; the first leads.
         env: drift, link, service.
         control: prices, budget, rules.
         trace: phases, urgencies, deadlines.
@@ -108,8 +108,9 @@ class SystemSize:
 def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tuple[SystemData, SystemConfig]:
     """Arrays and static choices of the whole system.
 
-    Every client that is replayed leads a fleet that repeats its requests on a server of its own, phases, urgencies,
-    deadlines and service times drawn per client, as in the paper's multi-client replay.
+    Every client that is replayed leads a fleet on a server of its own: its clients ask when the leader does, with
+    requests of the replayed clients in turn, and with phases, urgencies, deadlines and service times of their own, as
+    in the paper's multi-client replay.
 
     Args:
         sets: one feature set per drive, frames in order and half a second apart.
@@ -142,7 +143,7 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
         references=references.astype(np.int32),
         own=own,
         routes=held_out[np.arange(size.clients) % len(held_out)].astype(np.int32),
-        fleet=np.repeat(np.arange(size.clients, dtype=np.int32)[:, None], size.fleet, axis=1),
+        fleet=((np.arange(size.clients)[:, None] + np.arange(size.fleet)) % size.clients).astype(np.int32),
         env=make_environment(frames.context_share, size.kb_per_s),
         control=make_controller(ActionSet(tuple(modes), (0,))),
         trace=default_trace_params()._replace(phase_spread_s=jnp.float32(PHASE_SPREAD_S)),

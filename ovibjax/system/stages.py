@@ -16,7 +16,7 @@ from ovibjax.encoder.checkpoint import mix_frames
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import Params
 from ovibjax.encoder.train import TrainData, fit
-from ovibjax.scheduling.clients import Workload, client_requests, flatten
+from ovibjax.scheduling.clients import Workload, client_requests, flatten, on_timeline
 from ovibjax.scheduling.events import Events, first_events
 from ovibjax.scheduling.replay_grid import run_rules
 from ovibjax.scheduling.replay_metrics import metrics
@@ -134,10 +134,14 @@ def arrivals(
     events, uplink_ms = jax.vmap(record)(history, routes.context)
 
     def server(number: jax.Array, members: jax.Array) -> Workload:
+        leader: Events = jax.tree.map(lambda leaf: leaf[members[0]], events)
+
         def client(n: jax.Array, which: jax.Array) -> Workload:
-            keys = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, number), n), 4)
-            mine: Events = jax.tree.map(lambda leaf: leaf[which], events)
-            return client_requests(keys, n, mine, uplink_ms[which], data.trace._replace(service=data.env.service))
+            *keys, first_key = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, number), n), 5)
+            own: Events = jax.tree.map(lambda leaf: leaf[which], events)
+            mine, taken = on_timeline(own, leader, jax.random.randint(first_key, (), 0, static.requests))
+            trace = data.trace._replace(service=data.env.service)
+            return client_requests(jnp.stack(keys), n, mine, uplink_ms[which][taken], trace)
 
         return flatten(jax.vmap(client)(jnp.arange(members.shape[0], dtype=jnp.int32), members))
 
@@ -159,8 +163,9 @@ def serve(
     Returns:
         [P, rules] means over the servers.
     """
-    sent = jnp.sum(jnp.sum(history.sent.astype(jnp.int32), axis=-1)[data.fleet])
-
+    counts = jnp.sum(history.sent.astype(jnp.int32), axis=-1)[data.fleet]
+    # Members ask at the times of the first, if they ask at all.
+    sent = jnp.sum(counts[:, 0] * jnp.sum((counts > 0).astype(jnp.int32), axis=1))
     params = data.scheduler._replace(V=Vs)
     found = run_rules(workload.requests, static.schedulers, params, _judge, workload)
 

@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.client_state import SlotInfo
 from ovibjax.errors import InputError
-from ovibjax.scheduling.events import recorded_events, synthetic_events
+from ovibjax.scheduling.events import Events, recorded_events, recorded_runs, synthetic_events
 
 
 def test_synthetic_events_are_in_order_one_per_slot():
-    events = synthetic_events(jax.random.key(4), 12)
+    events = synthetic_events(jax.random.key(4), 12, runs=3)
     times = np.asarray(events.time_s)
-    assert np.all(np.diff(times) >= 0.5) and times[0] >= 0 and times[-1] < 296.5
-    assert set(np.asarray(events.payload_bytes).tolist()) <= {4 * 16 + 20 + 4 * m for m in (3, 5)}
+    assert times.shape == (3, 12) and len(np.unique(times)) > 24
+    assert np.all(np.diff(times) >= 0.5) and np.all(times[:, 0] >= 0) and np.all(times[:, -1] < 296.5)
+    assert set(np.asarray(events.payload_bytes).ravel().tolist()) <= {4 * 16 + 20 + 4 * m for m in (3, 5)}
     assert np.all(np.asarray(events.valid))
 
 
@@ -46,3 +48,21 @@ def test_recorded_requests_keep_what_the_client_predicted():
     run.sent = np.zeros(slots, bool)
     with pytest.raises(InputError, match="sent no request"):
         recorded_events(run, context, np.array([0.4, 0.9, 1.6]), actions)
+
+
+def test_runs_are_padded_and_the_leader_comes_first():
+    rng = np.random.default_rng(0)
+    sent = np.zeros((4, 10), bool)
+    sent[0, [1, 4]] = sent[2, [3, 5, 8]] = sent[3, 9] = True  # the second never asks
+    fields = {name: rng.normal(size=(4, 10)).astype(np.float32) for name in ("risk_before_m", "voi_m", "delay_s")}
+    run = SlotInfo(**dict.fromkeys(SlotInfo._fields, np.zeros((4, 10))))._replace(
+        sent=sent, action=rng.integers(0, 8, (4, 10)), **fields
+    )
+    context, rates = rng.integers(0, 3, 10), np.array([0.4, 0.9, 1.6])
+    events = recorded_runs(run, context, rates, ACTIONS, first=2)
+    assert isinstance(events, Events) and events.time_s.shape == (3, 3)
+    np.testing.assert_array_equal(events.valid, [[1, 1, 1], [1, 1, 0], [1, 0, 0]])
+    for row, s in enumerate((2, 0, 3)):
+        alone = recorded_events(SlotInfo(*(leaf[s] for leaf in run)), context, rates, ACTIONS)
+        for padded, leaf in zip(events, alone, strict=True):
+            np.testing.assert_array_equal(padded[row][: len(leaf)], leaf)
