@@ -61,7 +61,7 @@ def test_the_table_equals_one_replay_at_a_time(events, cases, keys):
                     np.testing.assert_allclose(
                         jax.tree.map(lambda leaf, at=(r, s, p): leaf[at], jax.tree.leaves(got)),
                         jax.tree.leaves(expected),
-                        rtol=2e-4,  # make_trace rounds float32 times by what it is compiled with
+                        rtol=5e-4,  # make_trace rounds float32 times by what it is compiled with
                     )
     tried = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (2,)), params)
     objectives = search(keys, events, cases, default_trace_params(), tried, N_MAX)
