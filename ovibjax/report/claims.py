@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 HELD, ON_AVERAGE, NOT_HELD, REPORTED = "held", "held on average", "not held", "reported"
+SILENT = "says nothing here"
 PAIRED = "the whole interval of the paired difference above zero"
 
 Seeds = ArrayLike
@@ -81,7 +82,7 @@ class Claim:
         statement: what is claimed, in one sentence.
         paper: the paper's figure, or "-" where the paper makes none.
         ours: our figure.
-        verdict: one of held, held on average, not held, reported.
+        verdict: one of held, held on average, not held, reported, says nothing here.
         rule: how the verdict follows from the figure.
         own: whether the statement is ours and not the paper's.
     """
@@ -198,6 +199,11 @@ class Claim:
     def reported(cls, statement: str, paper: str, ours: str, rule: str) -> Self:
         """A figure that is shown and not judged; the rule says why, or how it was made."""
         return cls(statement, paper, ours, REPORTED, rule)
+
+    @classmethod
+    def silent(cls, statement: str, paper: str, ours: str, rule: str) -> Self:
+        """A statement whose premise is not met here, so that it can be neither confirmed nor refuted."""
+        return cls(statement, paper, ours, SILENT, rule)
 
 
 def below(value: Interval, limit: float) -> str:

@@ -10,6 +10,7 @@ _MARKS = {
     "held on average": "🟡 held on average",
     "not held": "❌ not held",
     "reported": "ℹ️ reported",
+    "says nothing here": "➖ says nothing here",
 }
 
 
@@ -26,8 +27,9 @@ def write_page(folder: Path) -> Path:
         "# Results",
         "",
         "Written by `ovibjax reproduce`; do not edit. Intervals are 95 % over seeds (Student's t). *Held* means that",
-        "the whole interval satisfies the rule, *held on average* that only the mean does. The paper's numbers come",
-        "from CARLA Town05 and a Jetson Orin NX: in another world metres do not compare, orderings do.",
+        "the whole interval satisfies the rule, *held on average* that only the mean does, *says nothing here* that",
+        "what it presupposes is not met. Claims marked *(ours)* are this project's, not the paper's. The paper's",
+        "numbers come from CARLA Town05 and a Jetson Orin NX: in another world metres do not compare, orderings do.",
         "",
     ]
     for section in sorted(path.parent for path in folder.glob("*/claims.json")):

@@ -9,6 +9,7 @@ from ovibjax.report.claims import (
     NOT_HELD,
     ON_AVERAGE,
     REPORTED,
+    SILENT,
     Claim,
     above,
     below,
@@ -47,7 +48,7 @@ def test_page_shows_every_claim(tmp_path) -> None:
     folder = tmp_path / "one"
     folder.mkdir()
     claims = [Claim(f"claim | {verdict}", "1", "2", verdict, "rule") for verdict in (HELD, NOT_HELD, REPORTED)]
-    claims += [Claim("of the project", "-", "2", HELD, "rule").as_own()]
+    claims += [Claim("of the project", "-", "2", HELD, "rule").as_own(), Claim.silent("premise", "-", "2", "rule")]
     write_claims(folder / "claims.json", claims)
     assert read_claims(folder / "claims.json") == claims
     (folder / "provenance.json").write_text(json.dumps({"title": "One", "preset": "smoke", "seeds": "0"}))
@@ -57,6 +58,7 @@ def test_page_shows_every_claim(tmp_path) -> None:
     for verdict in (HELD, NOT_HELD, REPORTED):
         assert f"claim \\| {verdict}" in page
     assert [line.split(" | ")[0] for line in page.splitlines() if "(ours) |" in line] == ["| of the project (ours)"]
+    assert "➖ says nothing here" in page
 
 
 def test_a_claim_of_several_parts_is_as_good_as_its_weakest() -> None:
@@ -114,7 +116,7 @@ def test_what_was_not_measured_is_not_held(nothing) -> None:
 
 def test_facts_and_reports() -> None:
     assert claim("true", True, "r") == HELD and claim("true", False, "r") == NOT_HELD
-    assert claim("reported", "r") == REPORTED
+    assert claim("reported", "r") == REPORTED and claim("silent", "r") == SILENT
     assert interval([1.0]).cap == 0.0 and interval(SEEDS).cap == interval(SEEDS).half
 
 
