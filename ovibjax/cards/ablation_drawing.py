@@ -1,4 +1,4 @@
-"""The panels of the ablation figure: orthogonality weight, order of coordinates, components, paired differences."""
+"""The panels of the ablation figure: orthogonality weight, order, components, differences, weight of localization."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.cards.ablation_study import Ablation, named
+from ovibjax.cards.alpha_study import PREFIXES, AlphaEffects, alpha_text
 from ovibjax.cards.recipe_study import RECIPE_VARIANTS
 from ovibjax.encoder.loss import GAMMA
 from ovibjax.report import figures as fig
@@ -23,6 +24,7 @@ NAMES = {
     "no_completion": "no completion",
     "gelu": "GELU for the sine",
     "paper_prefixes": "prefixes drawn evenly",
+    "paper_recipe": "paper's recipe",
     "pca_completed": "PCA, our decoder",
     "pca": "PCA",
 }
@@ -40,21 +42,28 @@ SHORT_K = 16
 """A short prefix, marked beside the bars: there our recipe tells."""
 
 
-def draw(path: Path, found: Ablation, gammas: Sequence[float], k: int, paper_m: Mapping[str, float]) -> None:
-    """Draw the four panels.
+def draw(
+    path: Path, found: Ablation, effects: AlphaEffects, gammas: Sequence[float], k: int, paper_m: Mapping[str, float]
+) -> None:
+    """Draw the six panels.
 
     Args:
         path: the PNG.
         found: the ablation.
+        effects: what the terms are worth by weight of localization.
         gammas: positive orthogonality weights.
         k: prefix at which variants are compared.
         paper_m: the paper's mean errors at that prefix, metres, by variant.
     """
-    with sheet(path, 2, 2, height_in=2.6) as (weight, order, components, zoom):
+    with sheet(path, 2, 3, height_in=2.5) as (weight, order, components, zoom, rate, orthogonality):
         _draw_gamma(weight, found, (0.0, *gammas), k)
         _draw_orders(order, found)
         _draw_components(components, found, k, paper_m)
         _draw_differences(zoom, found, (0.0, *gammas), k, paper_m)
+        _draw_effect(rate, effects, "no_rate", COLOURS["no_rate"])
+        _draw_effect(orthogonality, effects, "no_orthogonality", COLOURS["no_orthogonality"])
+        fig.title(rate, "e", "what the rate term is worth by α")
+        fig.title(orthogonality, "f", "what orthogonality is worth by α")
 
 
 def _draw_gamma(ax: Axes, found: Ablation, gammas: Sequence[float], k: int) -> None:
@@ -78,9 +87,16 @@ def _draw_gamma(ax: Axes, found: Ablation, gammas: Sequence[float], k: int) -> N
 
 def _draw_orders(ax: Axes, found: Ablation) -> None:
     k = np.array(found.ks)
-    fig.band(ax, k, found.orders.sel(ordering="learned").values, COLOURS["full"], "learned order")
-    fig.band(ax, k, found.random_errors(), fig.GREEN, "random order", "--")
-    fig.band(ax, k, found.orders.sel(ordering="tail_first").values, fig.ORANGE, "tail first", "-.")
+    looks = {"learned": (COLOURS["full"], "-"), "random": (fig.GREEN, "--"), "tail_first": (fig.ORANGE, "-.")}
+    for order, (colour, style) in looks.items():
+        curves = found.order_m(order)
+        fig.band(ax, k, curves, colour, order.replace("_", " "), style)
+        mean, half = curves.mean(axis=0), found.half_over_frames_m(order)
+        ax.fill_between(k, np.maximum(mean - half, 0.3 * mean), mean + half, color=colour, alpha=0.4, lw=0)
+    some = slice(None, None, max(1, len(k) // 7))
+    mean, deviation = found.order_m("random").mean(axis=0), found.deviation_of_permutations_m()
+    look: dict[str, Any] = {"fmt": "none", "ecolor": "black", "elinewidth": 0.7, "capsize": 1.5, "zorder": 4}
+    ax.errorbar(k[some], mean[some], yerr=deviation[some], label="sd of 8 permutations", **look)
     ax.set(xlabel="coordinates kept k", ylabel="mean error (m)", yscale="log", xlim=(0, 129))
     fig.plain_log_ticks(ax.yaxis)
     ax.legend(loc="center", bbox_to_anchor=(0.42, 0.36))
@@ -121,4 +137,32 @@ def _draw_differences(ax: Axes, found: Ablation, gammas: Sequence[float], k: int
     ax.axvline(0, color=fig.BLUE, lw=1)
     category_axis(ax, [NAMES.get(name, "γ = " + name.removeprefix("gamma_")) for name in names])
     ax.set(xlabel=f"error minus error of Full at k = {k} (m)")
+    _explain_differences(ax)
     fig.title(ax, "d", "zoom: paired differences to Full")
+
+
+def _explain_differences(ax: Axes) -> None:
+    """A legend below the rows of differences: mean and interval, seeds, and the paper's value."""
+    ax.errorbar([], [], xerr=[], fmt="o", ms=4, color=fig.GREY, capsize=2, lw=1.2, label="mean, 95 %")
+    ax.plot([], [], ".", ms=3, color="#888888", label="a seed")
+    ax.plot([], [], "|", ms=8, mew=1.6, color="black", label="paper")
+    ax.set_ylim(bottom=ax.get_ylim()[0] + 0.9)
+    ax.legend(loc="lower center", ncols=3, columnspacing=1.0, handletextpad=0.4)
+
+
+def _draw_effect(ax: Axes, effects: AlphaEffects, arm: str, colour: str) -> None:
+    """Error without a term minus error with it at every alpha, paired over seeds: interval, and a dot per seed."""
+    x = np.arange(len(effects.by_alpha))
+    for k, shift, marker in zip(PREFIXES, (-0.12, 0.12), ("o", "s"), strict=True):
+        gains = [effects.gain_m(arm, alpha, k) for alpha in effects.by_alpha]
+        spans = [interval(gain) for gain in gains]
+        caps = [span.cap for span in spans]
+        look: dict[str, Any] = {"fmt": marker, "ms": 4, "capsize": 2, "lw": 1.2, "color": colour, "mec": "black"}
+        ax.errorbar(x + shift, [span.mean for span in spans], yerr=caps, label=f"k = {k}", mew=0.6, **look)
+        for at, gain in zip(x + shift, gains, strict=True):
+            ax.plot(np.full(len(gain), at + 0.07), gain, ".", ms=3, color="#888888")
+    ax.axhline(0, color=fig.BLUE, lw=1)
+    ax.set_xticks(x, [alpha_text(alpha) for alpha in effects.by_alpha])
+    ax.set(xlabel="weight α of localization (last: square metres)", ylabel="error without minus with (m)")
+    ax.set_xlim(-0.5, len(x) - 0.5)
+    ax.legend(loc="upper right", ncols=2)

@@ -1,6 +1,6 @@
 """The encoder ablation as data: variants and seeds trained in one sweep, coordinate orderings judged in another."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,14 +13,18 @@ from ovibjax.cards.job import Sweep
 from ovibjax.cards.recipe_study import RECIPE_VARIANTS, train_recipe
 from ovibjax.edge.judging import Trained, judge_prefixes
 from ovibjax.edge.member import DIMS, ORDERINGS, UNITS, JudgeOrdering, TrainAndJudge
-from ovibjax.encoder.loss import BETA, GAMMA
+from ovibjax.encoder.loss import ALPHA, BETA, GAMMA
 from ovibjax.encoder.orthogonality import SingularValues, singular_values
 from ovibjax.encoder.pca import fit_pca
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.encoder.training_data import MemberData
+from ovibjax.report.claims import interval
 from ovibjax.sweep.select import tree_of
 from ovibjax.sweep.work import Along
 from ovibjax.views import full_mode, mode_mask
+
+Weights = tuple[float, float, float, float]
+"""Weights (alpha, beta, gamma) and the share of examples that are nested."""
 
 
 @dataclass(frozen=True)
@@ -30,14 +34,15 @@ class Ablation:
     Attributes:
         trained: errors of every variant of the paper's [variant, seed, prefix].
         recipe: errors of those of `RECIPE_VARIANTS` that were trained, [variant, seed, prefix].
-        orders: mean test errors of the full model's coordinates in other orders [ordering, seed, prefix].
+        orders: the full model's coordinates in other orders: mean test errors [ordering, seed, prefix], and those of
+            every test frame [ordering, seed, prefix, frame].
         pca: [seeds, prefixes] mean test errors of the linear code under the full model's localizer.
         spectra: singular values of W per orthogonality weight, leading axis the seeds.
     """
 
     trained: xarray.Dataset
     recipe: xarray.Dataset
-    orders: xarray.DataArray
+    orders: xarray.Dataset
     pca: np.ndarray
     spectra: dict[float, SingularValues]
 
@@ -60,9 +65,26 @@ class Ablation:
         means = [self.at(name, k, "val_mean_m").mean() for name in swept]
         return float(self.trained.gamma.sel(variant=swept[int(np.argmin(means))]))
 
-    def random_errors(self) -> np.ndarray:
-        """[seeds, prefixes] errors averaged over the random permutations."""
-        return self.orders.sel(ordering=list(ORDERINGS[1:-1])).mean("ordering").values
+    def order_m(self, order: str) -> np.ndarray:
+        """[seeds, prefixes] mean test errors in an order: learned, tail_first, or the mean of random ones."""
+        return self.orders.test_mean_m.sel(ordering=permutations(order)).mean("ordering").values
+
+    def half_over_frames_m(self, order: str) -> np.ndarray:
+        """[prefixes] half-width of the 95 % interval over the test frames of a seed, mean over seeds."""
+        # The paper: "Panel (b) reports 95 % confidence intervals over 750 test frames. The teal band additionally shows
+        # standard deviation across eight random coordinate permutations."
+        errors = self.orders.test_error_m.sel(ordering=permutations(order)).mean("ordering")
+        of_seed = [[interval(errors.sel(seed=s, prefix=k).values).half for k in self.ks] for s in errors.seed.values]
+        return np.mean(of_seed, axis=0)
+
+    def deviation_of_permutations_m(self) -> np.ndarray:
+        """[prefixes] standard deviation across the random permutations, mean over seeds."""
+        return self.orders.test_mean_m.sel(ordering=permutations("random")).std("ordering", ddof=1).mean("seed").values
+
+
+def permutations(order: str) -> list[str]:
+    """Those of `ORDERINGS` that an order stands for: all eight if it is random."""
+    return list(ORDERINGS[1:-1]) if order == "random" else [order]
 
 
 def named(gamma: float) -> str:
@@ -93,22 +115,9 @@ def ablate(
     Returns:
         The ablation.
     """
-    variants = {named(gamma): (BETA, gamma, 1.0) for gamma in (0.0, *gammas)}
-    variants |= {"no_rate": (0.0, GAMMA, 1.0), "no_nesting": (BETA, GAMMA, 0.0)}
-    beta, gamma, nesting = zip(*variants.values(), strict=True)
-    mode = full_mode(static.arch.n_views)
-    coords = {"prefix": list(ks)}
-    dataset = sweep(
-        "training and judging variants",
-        TrainAndJudge(static, ks, (mode,), keep_params=True),
-        {"variant": list(variants), "beta": beta, "gamma": gamma, "nesting": nesting, "seed": seeds},
-        Along("seed", members),
-        zipped=[["variant", "beta", "gamma", "nesting"]],
-        dims=DIMS,
-        coords=coords | {"mode": [mode]},
-        units=UNITS,
-    )
-    trained = dataset.isel(mode=0).swap_dims({dataset.variant.dims[0]: "variant"})
+    variants: dict[str, Weights] = {named(gamma): (ALPHA, BETA, gamma, 1.0) for gamma in (0.0, *gammas)}
+    variants |= {"no_rate": (ALPHA, 0.0, GAMMA, 1.0), "no_nesting": (ALPHA, BETA, GAMMA, 0.0)}
+    trained = train_variants(sweep, static, ks, variants, members, seeds)
     changed = train_recipe(sweep, static, recipe, ks, members, seeds)
     chosen = {"variant": named(GAMMA)}
     params = [{"params": tree_of(trained, "params", chosen | {"seed": seed})} for seed in seeds]
@@ -118,11 +127,53 @@ def ablate(
         JudgeOrdering(static.arch, ks),
         {"ordering": list(ORDERINGS), "seed": seeds},
         Along("seed", full),
-        dims={"test_mean_m": ["prefix"]},
-        coords=coords,
+        dims={"test_mean_m": ["prefix"], "test_error_m": ["prefix", "frame"]},
+        coords={"prefix": list(ks)},
         stage="judge",
     )
-    return Ablation(trained, changed, orders.test_mean_m, judge_pca(static, ks, full), spectra_by_gamma(trained))
+    return Ablation(trained, changed, orders, judge_pca(static, ks, full), spectra_by_gamma(trained))
+
+
+def train_variants(
+    sweep: Sweep,
+    static: TrainConfig,
+    ks: tuple[int, ...],
+    variants: Mapping[str, Weights],
+    members: list[MemberData],
+    seeds: list[int],
+) -> xarray.Dataset:
+    """Train and judge variants that differ in their weights, in one program.
+
+    A second call of equal `static` and `ks` takes the program of the first.
+
+    Args:
+        sweep: runs a sweep.
+        static: architecture and steps.
+        ks: prefixes judged.
+        variants: weights by name.
+        members: data per seed.
+        seeds: seeds, common to all variants.
+
+    Returns:
+        Members [variant, seed], with their parameters.
+    """
+    mode = full_mode(static.arch.n_views)
+    names = ("alpha", "beta", "gamma", "nesting")
+    dataset = sweep(
+        "training and judging variants",
+        TrainAndJudge(static, ks, (mode,), keep_params=True),
+        {
+            "variant": list(variants),
+            **dict(zip(names, zip(*variants.values(), strict=True), strict=True)),
+            "seed": seeds,
+        },
+        Along("seed", members),
+        zipped=[["variant", *names]],
+        dims=DIMS,
+        coords={"prefix": list(ks), "mode": [mode]},
+        units=UNITS,
+    )
+    return dataset.isel(mode=0).swap_dims({dataset.variant.dims[0]: "variant"})
 
 
 def judge_pca(static: TrainConfig, ks: tuple[int, ...], full: list[Trained]) -> np.ndarray:
@@ -154,8 +205,8 @@ def spectra_by_gamma(trained: xarray.Dataset) -> dict[float, SingularValues]:
 def table_rows(ablation: Ablation) -> list[dict[str, Any]]:
     """One tidy row per member and prefix, then per ordering, seed and prefix."""
     rows: list[dict[str, Any]] = []
-    metrics, weights = ("val_mean_m", "test_mean_m", "test_p90_m", "eta"), ("beta", "gamma", "nesting")
-    paper = dict(zip(weights, (BETA, GAMMA, 1.0), strict=True))
+    metrics, weights = ("val_mean_m", "test_mean_m", "test_p90_m", "eta"), ("alpha", "beta", "gamma", "nesting")
+    paper = dict(zip(weights, (ALPHA, BETA, GAMMA, 1.0), strict=True))
     trained = ablation.trained
     for dataset, variant in [(d, v) for d in (trained, ablation.recipe) for v in d.variant.values]:
         for seed in trained.seed.values:
@@ -170,7 +221,7 @@ def table_rows(ablation: Ablation) -> list[dict[str, Any]]:
         for j, k in enumerate(ablation.ks):
             point = {"seed": int(seed), "k": k}
             for ordering in ORDERINGS[1:]:
-                error = float(ablation.orders.sel(ordering=ordering, seed=seed, prefix=k))
+                error = float(ablation.orders.test_mean_m.sel(ordering=ordering, seed=seed, prefix=k))
                 name = {"variant": named(GAMMA), "ordering": ordering}
                 rows.append({**rows[0], **blank, **point, **name, "test_mean_m": error})
             name = {"variant": "pca", "ordering": "learned"}

@@ -81,7 +81,7 @@ def train_config(method: str, data: MemberData, steps: int | None, precision: st
     """Static choices of a trained method; all are trained alike."""
     static = TrainConfig(arch=architecture_of(data), steps=steps, precision=precision)
     if method == "pca_completed":
-        return changed(method, static)
+        return changed(method, static, len(data.train.x))
     return fixed_rate(static, int(method.removeprefix("fixed_"))) if method.startswith("fixed_") else static
 
 

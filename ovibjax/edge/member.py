@@ -136,7 +136,7 @@ class JudgeOrdering:
             trained: the encoder.
 
         Returns:
-            Mean test errors [prefixes].
+            Mean test errors [prefixes], and the errors of all test frames [prefixes, T].
         """
         arch, ordering = self.arch, point["ordering"]
         learned = jnp.arange(arch.latent)
@@ -146,4 +146,4 @@ class JudgeOrdering:
         mask = mode_mask(full_mode(arch.n_views), arch.n_views)
         lengths = jnp.array(self.prefixes, jnp.int32)
         judged = judge_prefixes(trained, arch, mask, lengths, order=order)
-        return {"test_mean_m": jnp.mean(judged.test_error_m, axis=-1)}
+        return {"test_mean_m": jnp.mean(judged.test_error_m, axis=-1), "test_error_m": judged.test_error_m}

@@ -14,6 +14,7 @@ from .train import TrainConfig as TrainConfig
 from .train import TrainData as TrainData
 from .train import fit as fit
 from .train import fixed_rate as fixed_rate
+from .train import paper_recipe as paper_recipe
 from .training_data import MemberData as MemberData
 from .training_data import member_data as member_data
 
@@ -35,5 +36,6 @@ __all__ = [
     "make_hypers",
     "member_data",
     "orthogonality_penalty",
+    "paper_recipe",
     "prefix_mask",
 ]

@@ -16,7 +16,7 @@ ALPHA, BETA, GAMMA = 1.0, 1e-3, 0.1
 """Weights of localization, rate and orthogonality in the paper's evaluation (Section "Experimental Setup")."""
 
 LR = 4e-3
-"""Peak learning rate; the paper trains at 1e-3, for 50 epochs of batches of 512."""
+"""Peak learning rate; the paper's is `recipe.PAPER_LR`."""
 
 
 class Hypers(NamedTuple):

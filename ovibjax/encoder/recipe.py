@@ -7,6 +7,11 @@ the rest of it. What it was chosen against, with the errors, stands in tests/ben
 PAPER_PREFIXES = (4, 8, 16, 32, 64, 96, 128)
 """Supported prefix lengths of the scalable encoder (paper, Section "Experimental Setup")."""
 
+PAPER_EPOCHS, PAPER_BATCH, PAPER_LR = 50, 512, 1e-3
+"""The paper's own recipe: "The Town05 scalable encoder uses K = 128, 𝒦 = {4, 8, 16, 32, 64, 96, 128}, 50 AdamW epochs,
+batch size 512, learning rate 10⁻³, and (α, β, γ) = (1, 10⁻³, 0.1)" (Section "Experimental Setup"); see
+`train.paper_recipe`."""
+
 PREFIX_SHARES = {4: 1, 8: 5, 12: 5, 16: 10, 20: 5, 24: 7, 32: 4, 48: 2}
 """How often each length below K is drawn, against twice for K itself.
 

@@ -17,7 +17,7 @@ from ovibjax.encoder.epochs import Epoch, State, make_epoch, make_optimizer, sch
 from ovibjax.encoder.linear_start import linear_paths, linear_start, principal_encoder
 from ovibjax.encoder.loss import Batch, Hypers, composite_loss
 from ovibjax.encoder.model import Architecture, Params, init
-from ovibjax.encoder.recipe import training_prefixes
+from ovibjax.encoder.recipe import PAPER_BATCH, PAPER_EPOCHS, PAPER_PREFIXES, training_prefixes
 from ovibjax.views import MODES, modes_for
 
 
@@ -68,6 +68,29 @@ def fixed_rate(static: TrainConfig, latent: int) -> TrainConfig:
         keep them for, and the ARD prior prunes coordinates of theirs.
     """
     return replace(static, arch=replace(static.arch, latent=latent), prefixes=(latent,), prior="ard", linear_lr=1.0)
+
+
+def paper_recipe(static: TrainConfig, n: int) -> TrainConfig:
+    """The recipe that the paper states, taken literally (Section "Experimental Setup"); `recipe.PAPER_LR` goes with it.
+
+    A dense network, not started from principal components, the paper's prefixes drawn evenly, 50 epochs of batches of
+    512. What the paper does not say (hidden widths, warm-up, decay, clipping) stays as in the recipe.
+
+    Args:
+        static: the recipe.
+        n: training examples.
+
+    Returns:
+        The static choices.
+    """
+    latent = static.arch.latent
+    return replace(
+        static,
+        arch=replace(static.arch, kind="dense"),
+        prefixes=tuple(min(k, latent) for k in PAPER_PREFIXES),
+        steps=PAPER_EPOCHS * (n // min(PAPER_BATCH, n)),
+        batch=PAPER_BATCH,
+    )
 
 
 class TrainData(NamedTuple):

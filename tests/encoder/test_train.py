@@ -12,7 +12,7 @@ import pytest
 from ovibjax.encoder.epochs import schedule_of
 from ovibjax.encoder.loss import Hypers, make_hypers
 from ovibjax.encoder.recipe import PAPER_PREFIXES, training_prefixes, training_steps
-from ovibjax.encoder.train import TrainConfig, fit, fixed_rate
+from ovibjax.encoder.train import TrainConfig, fit, fixed_rate, paper_recipe
 from tests.encoder.cases import (
     TERMS,
     UAV,
@@ -214,3 +214,11 @@ def test_the_fixed_rate_model_has_one_length_and_the_ard_prior():
     back = {name: getattr(scalable, name) for name in ("arch", "prefixes", "prior", "linear_lr")}
     back = dataclasses.replace(fixed, **back)
     assert back == scalable
+
+
+def test_the_papers_recipe_is_what_the_paper_says():
+    static = paper_recipe(TrainConfig(precision="bfloat16"), 3495)
+    assert static.arch.kind == "dense" and static.prefixes == PAPER_PREFIXES and static.batch == 512
+    assert schedule_of(static.steps, static.batch, 3495) == (512, 6, 50) and static.precision == "bfloat16"
+    few = paper_recipe(TrainConfig(arch=UAV), 60)
+    assert schedule_of(few.steps, few.batch, 60) == (60, 1, 50) and set(few.prefixes) == {4, 8}
