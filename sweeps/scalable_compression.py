@@ -82,11 +82,11 @@ def caption(results: Results, energy_kept: float, view_dim: int) -> str:
     """What the reader of the figure needs to know."""
     return (
         f"(a) One trained model at every prefix k; selected on validation: k = {results.chosen}. (b) Serialized "
-        "payload against error. (c) Errors per test frame of all seeds; box: quartiles, whiskers: 5th and 95th "
-        "percentile, diamond: mean, red tick: 90th percentile. (d) Encoding after feature extraction (Jetson "
-        f"Orin NX profile) plus transmission at {LINK_KB_PER_S} KB/s; image codecs: transmission alone, of the "
-        f"bytes at which they reach O-VIB's error at k = {RIVAL_K}; black ticks: paper. "
-        f"{fig.spread(len(results.outcomes))} (split, initialisation, minibatches). The database holds uncompressed "
-        f"reference descriptors (frozen localizer). {view_dim} principal coordinates per view keep "
-        f"{100 * energy_kept:.0f} % of the feature variance."
+        "payload against error; dashed: the references have passed through the same code. (c) Errors per test frame of "
+        "all seeds; box: quartiles, whiskers: 5th and 95th percentile, diamond: mean, red tick: 90th percentile. (d) "
+        f"Encoding after feature extraction (Jetson Orin NX profile) plus transmission at {LINK_KB_PER_S} KB/s; image "
+        "codecs: encoding of the five views measured here, plus transmission, where they reach O-VIB's error "
+        f"at k = {RIVAL_K}; black ticks: paper. {fig.spread(len(results.outcomes))} (split, initialisation, "
+        "minibatches). The database holds uncompressed reference descriptors (frozen localizer) unless said. "
+        f"{view_dim} principal coordinates per view keep {100 * energy_kept:.0f} % of the feature variance."
     )

@@ -28,6 +28,7 @@ class Frontier:
         native_m: [S] mean error of the same frames, as the features that the database and the training were made from.
         whole_m: [S] that of all test frames.
         ovib_m: [S] mean error of O-VIB at k = `RIVAL_K` on all test frames.
+        encode_ms: [R] time to encode a frame on this machine.
     """
 
     rungs: tuple[Rung, ...]
@@ -38,6 +39,7 @@ class Frontier:
     native_m: NDArray[np.float64]
     whole_m: NDArray[np.float64]
     ovib_m: NDArray[np.float64]
+    encode_ms: NDArray[np.float64]
 
     @property
     def codecs(self) -> tuple[str, ...]:
@@ -59,14 +61,27 @@ class Frontier:
 
     def of(self, codec: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Payloads [S, r] in bytes and mean errors [S, r] in metres of one codec's rungs."""
-        mine = [i for i, (name, _) in enumerate(self.rungs) if name == codec]
+        mine = self._rungs_of(codec)
         return self.payload_bytes[:, mine], self.mean_m[:, mine]
+
+    def _rungs_of(self, codec: str) -> list[int]:
+        return [i for i, (name, _) in enumerate(self.rungs) if name == codec]
 
     def equal_error_bytes(self, codec: str) -> NDArray[np.float64]:
         """[S] fewest bytes at which the codec reaches O-VIB's error; infinite where no quality does."""
         return np.array(
             [fewest_bytes(*rows, self.ovib_m[i]) for i, rows in enumerate(zip(*self.of(codec), strict=True))]
         )
+
+    def equal_error_encode_ms(self, codec: str) -> NDArray[np.float64]:
+        """[S] time to encode at the first quality that reaches O-VIB's error; infinite where none does."""
+        encode_ms = self.encode_ms[self._rungs_of(codec)]
+        first = [first_reached(errors, self.ovib_m[i]) for i, errors in enumerate(self.of(codec)[1])]
+        return np.array([float("inf") if rung is None else encode_ms[rung] for rung in first])
+
+    def latency_ms(self, codec: str, rate_bps: float) -> NDArray[np.float64]:
+        """[S] encoding and transmission at O-VIB's error; infinite where no quality reaches it."""
+        return self.equal_error_encode_ms(codec) + 8e3 * self.equal_error_bytes(codec) / rate_bps
 
     def coarsest_suffices(self, codec: str) -> bool:
         """Whether the codec's coarsest quality reaches O-VIB's error on every seed: a coarser one might, too."""
@@ -79,8 +94,15 @@ class Frontier:
             for s, seed in enumerate(self.seeds):
                 row = {"codec": codec, "quality": quality, "seed": seed}
                 row |= {"payload_bytes": f"{self.payload_bytes[s, r]:.1f}", "mean_m": f"{self.mean_m[s, r]:.4f}"}
-                rows.append(row | {"p90_m": f"{np.percentile(self.error_m[s, r], 90):.4f}"})
+                row |= {"p90_m": f"{np.percentile(self.error_m[s, r], 90):.4f}"}
+                rows.append(row | {"encode_ms": f"{self.encode_ms[r]:.2f}"})
         return rows
+
+
+def first_reached(error_m: NDArray[np.float64], target_m: float) -> int | None:
+    """Position in a ladder of errors [r] of the first that is at most a target; None if none is."""
+    reached = np.flatnonzero(error_m <= target_m)
+    return int(reached[0]) if reached.size else None
 
 
 def fewest_bytes(payload_bytes: NDArray[np.float64], error_m: NDArray[np.float64], target_m: float) -> float:
@@ -94,10 +116,9 @@ def fewest_bytes(payload_bytes: NDArray[np.float64], error_m: NDArray[np.float64
     Returns:
         Bytes; the lowest rung's if that already reaches it, infinite if none does.
     """
-    reached = np.flatnonzero(error_m <= target_m)
-    if not reached.size:
+    i = first_reached(error_m, target_m)
+    if i is None:
         return float("inf")
-    i = int(reached[0])
     if i == 0:
         return float(payload_bytes[0])
     share = (error_m[i - 1] - target_m) / (error_m[i - 1] - error_m[i])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ovibjax.cards.codec_frontier import RIVAL_K, Frontier
+from ovibjax.cards.codec_timing import encode_times_ms, town_pictures
 from ovibjax.cards.compression_methods import Outcome, architecture_of, judge_raw_jit, prefixes_of
 from ovibjax.cards.job import Job
 from ovibjax.edge.judging import Trained
@@ -79,8 +80,10 @@ def code_and_judge(
         with job.stage("codecs"), progress_bar("rendering and coding 400 x 300 px", len(frames)) as update:
             return coded_town(TownConfig(), n_frames, frames, rungs, on_frames=update)
 
+    with job.stage("time"):
+        encode_ms = encode_times_ms(town_pictures(n_frames, (0, n_frames // 2)), rungs)
     with job.stage("judge"):
-        frontier = judge_codecs(job.features, prepared, outcomes, plan, code)
+        frontier = judge_codecs(job.features, prepared, outcomes, plan, code, encode_ms)
     gap = interval(frontier.plain_m - frontier.native_m)
     note = (
         f" Image codecs code 400 x 300 px renders of {frontier.error_m.shape[2]} test frames per seed, from the "
@@ -111,6 +114,7 @@ def judge_codecs(
     outcomes: Mapping[int, Mapping[str, Outcome]],
     plan: CodecPlan,
     code: Callable[[NDArray[np.int64]], CodedViews],
+    encode_ms: NDArray[np.float64],
 ) -> Frontier:
     """Code, decode and localize.
 
@@ -120,6 +124,7 @@ def judge_codecs(
         outcomes: trained methods per seed; `ovib` brings the frozen localizer.
         plan: frames and rungs.
         code: the coded views of frames by index; called once with the frames of all seeds.
+        encode_ms: [R] time to encode a frame, by rung.
 
     Returns:
         The frontier, on the seeds of `outcomes`.
@@ -142,8 +147,18 @@ def judge_codecs(
         native.append(judged["raw"].test_error_m[0][rows[seed]].mean())
         whole.append(judged["raw"].test_error_m[0].mean())
         ovib.append(judged["ovib"].test_error_m[of_ovib].mean())
-    means = (np.array(values, np.float64) for values in (plain, native, whole, ovib))
-    return Frontier(plan.rungs, tuple(outcomes), np.stack(sizes), np.stack(errors), *means)
+    plain_m, native_m, whole_m, ovib_m = (np.array(values, np.float64) for values in (plain, native, whole, ovib))
+    return Frontier(
+        plan.rungs,
+        tuple(outcomes),
+        payload_bytes=np.stack(sizes),
+        error_m=np.stack(errors),
+        plain_m=plain_m,
+        native_m=native_m,
+        whole_m=whole_m,
+        ovib_m=ovib_m,
+        encode_ms=encode_ms,
+    )
 
 
 def _judge(

@@ -84,7 +84,8 @@ def _draw_payloads(ax: Axes, results: Results, frontier: Frontier | None) -> Non
     def kib(method: str, ks: np.ndarray) -> np.ndarray:
         return np.array([results.payload_bytes(method, int(k)) for k in ks]) / 1024
 
-    looks = {"pca": ("-", "s"), "pca_completed": (":", ""), "vib": ("--", ""), "ovib": ("-", "")}
+    # Plain VIB is in the first panel, where it lies on O-VIB.
+    looks = {"pca": ("-", "s"), "pca_completed": (":", ""), "ovib": ("-", "")}
     for method, (style, marker) in looks.items():
         if method not in results.judged:
             continue
@@ -92,6 +93,7 @@ def _draw_payloads(ax: Axes, results: Results, frontier: Frontier | None) -> Non
         keep = ks >= 4
         x, curves = kib(method, ks[keep]), results.mean_m(method)[:, keep]
         fig.band(ax, x, curves, COLOURS[method], NAMES[method], style, marker)
+    _draw_recoded(ax, kib("ovib", np.array(SPARSE_PREFIXES)), results)
     if results.fixed:
         _draw_bank(ax, kib("fixed", np.array(results.fixed)), results)
     raw_kib = results.payload_bytes("raw", 0) / 1024
@@ -104,6 +106,13 @@ def _draw_payloads(ax: Axes, results: Results, frontier: Frontier | None) -> Non
     fig.plain_log_ticks(ax.xaxis)
     ax.legend(loc="upper right", ncols=2, columnspacing=1.0, handlelength=1.4)
     fig.title(ax, "b", "payload and error")
+
+
+def _draw_recoded(ax: Axes, sizes_kb: np.ndarray, results: Results) -> None:
+    """Payload and error where the references pass through the same code as the query; means alone."""
+    for method in results.recoded:
+        ax.plot(sizes_kb, results.recoded_m(method).mean(axis=0), "--", lw=1, color=COLOURS[method], zorder=3)
+    ax.plot([], [], "--", lw=1, color="black", label="references re-coded")
 
 
 def _draw_bank(ax: Axes, sizes_kb: np.ndarray, results: Results) -> None:
@@ -150,12 +159,13 @@ def _draw_frames(ax: Axes, results: Results) -> None:
 
 
 class Latency(NamedTuple):
-    """A row of the latency panel: label, milliseconds to encode and to transmit, and the paper's total."""
+    """A row of the latency panel: label, milliseconds to encode and to transmit, the paper's total, where encoded."""
 
     label: str
     encode_ms: float
     transmit_ms: float
     paper_ms: float | None = None
+    here: bool = False
 
 
 def latencies(results: Results, frontier: Frontier | None) -> list[Latency]:
@@ -166,8 +176,8 @@ def latencies(results: Results, frontier: Frontier | None) -> list[Latency]:
         frontier: image codecs; None gives the paper's figures alone.
 
     Returns:
-        One row per representation, then per codec: transmission at the bytes of equal error, infinite if that is not
-        reached on every seed.
+        One row per representation, then per codec at equal error: encoding on this machine, and transmission, which is
+        infinite if that error is not reached on every seed.
     """
     rate_bps = kbytes_per_s(LINK_KB_PER_S)
     rows = []
@@ -180,9 +190,10 @@ def latencies(results: Results, frontier: Frontier | None) -> list[Latency]:
     raw_ms = 1e3 * float(transmit_s(results.payload_bytes("raw", 0), rate_bps))
     rows.append(Latency("raw features", 0.0, raw_ms))
     for codec in frontier.codecs if frontier else CODECS:
-        needed_bytes = float(frontier.equal_error_bytes(codec).mean()) if frontier else np.inf
-        label = CODEC_NAMES[codec] + ("" if frontier else " (paper)")
-        rows.append(Latency(label, 0.0, 1e3 * needed_bytes * 8 / rate_bps, 1e3 * PAPER_LATENCY_S[codec]))
+        label, paper_ms = CODEC_NAMES[codec] + ("" if frontier else " (paper)"), 1e3 * PAPER_LATENCY_S[codec]
+        whole_ms = float(frontier.latency_ms(codec, rate_bps).mean()) if frontier else np.inf
+        encode_ms = float(frontier.equal_error_encode_ms(codec).mean()) if frontier and np.isfinite(whole_ms) else 0.0
+        rows.append(Latency(label, encode_ms, whole_ms - encode_ms, paper_ms, here=True))
     return rows
 
 
@@ -191,7 +202,9 @@ def _draw_latency(ax: Axes, results: Results, frontier: Frontier | None) -> None
     y = np.arange(len(rows))
     encode = np.array([row.encode_ms for row in rows])
     sent = np.array([row.transmit_ms for row in rows])
-    ax.barh(y, encode, color=fig.ORANGE, height=0.6, label="encode (Jetson)")
+    here = np.array([row.here for row in rows])
+    for where, colour, label in ((~here, fig.ORANGE, "encode (Jetson)"), (here, fig.PURPLE, "encode (this machine)")):
+        ax.barh(y[where], encode[where], color=colour, height=0.6, label=label)
     ax.barh(y, np.where(np.isfinite(sent), sent, 0), left=encode, color=fig.BLUE, height=0.6, label="transmit")
     marks = [(row.paper_ms, i) for i, row in enumerate(rows) if row.paper_ms is not None]
     ax.plot(*zip(*marks, strict=True), "|", ms=9, mew=1.6, color="black", label="paper")
@@ -202,9 +215,9 @@ def _draw_latency(ax: Axes, results: Results, frontier: Frontier | None) -> None
             # Beside the bar, or beside the paper's tick where that is as near as the text would be.
             ax.text(1.08 * (paper_ms if total < paper_ms < 2 * total else total), i, text, va="center", fontsize=6.5)
         elif frontier:
-            ax.text(9, i, "error not reached", va="center", fontsize=6.5)
+            ax.text(2.3, i, "error not reached", va="center", fontsize=6.5)
     category_axis(ax, [row.label for row in rows])
-    ax.set(xlabel=f"latency at {LINK_KB_PER_S} KB/s (ms)", xscale="log", xlim=(8, 2e4))
+    ax.set(xlabel=f"latency at {LINK_KB_PER_S} KB/s (ms)", xscale="log", xlim=(2, 2e4))
     ax.legend(loc="upper right")
     fig.plain_log_ticks(ax.xaxis, subs=(1.0,))
     fig.title(ax, "d", "latency after feature extraction")

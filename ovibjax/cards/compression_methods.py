@@ -38,9 +38,6 @@ TRAINED = ("ovib", "vib", "pca_completed", *(f"fixed_{k}" for k in FIXED))
 SPARSE_PREFIXES = (4, 6, 8, 12, 16, 20, 24, 28, 32, 35, 48, 64, 96, 128)
 """Prefixes at which the rivals of `ovib` are judged; `ovib` is judged at every one."""
 
-RECODED_K = 16
-"""Prefix at which the database passes through the code too."""
-
 _fit = jax.jit(fit, static_argnames="static")
 _judge_prefixes = jax.jit(judge_prefixes, static_argnames=("arch", "recode"))
 judge_raw_jit = jax.jit(judge_raw, static_argnames="arch")
@@ -52,7 +49,7 @@ class Outcome(NamedTuple):
     Attributes:
         params: the trained network.
         judged: outcome per method (`ovib` brings `pca` and `raw`), leading axis its prefixes.
-        recoded: the same at `RECODED_K` where the database passes through the code too (`ovib` only).
+        recoded: the same at `SPARSE_PREFIXES` where the database passes through the code too (`ovib` only).
         raw_mode_m: mean error of uncompressed features by view mode (`ovib` only).
         losses: [epochs] loss and its terms.
     """
@@ -116,8 +113,7 @@ def run_method(method: str, seed: int, data: MemberData, steps: int | None, prec
         sparse = jnp.array(SPARSE_PREFIXES)
         pca = fit_pca(data.train.x, static.arch.latent)
         judged["pca"] = judge(sparse, pca=pca)
-        short = jnp.array([RECODED_K])
-        recoded = {"ovib": judge(short, recode=True), "pca": judge(short, pca=pca, recode=True)}
+        recoded = {"ovib": judge(sparse, recode=True), "pca": judge(sparse, pca=pca, recode=True)}
         raw = {name: judge_raw_jit(trained, static.arch, mode_mask(name, views)) for name in modes_for(views)}
         judged["raw"] = jax.tree.map(lambda x: x[None], raw[full_mode(views)])
         raw_mode_m = {name: float(jnp.mean(value.test_error_m)) for name, value in raw.items()}

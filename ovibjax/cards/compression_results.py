@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.cards.compression_methods import FIXED, Outcome, prefixes_of
+from ovibjax.cards.compression_methods import FIXED, SPARSE_PREFIXES, Outcome, prefixes_of
 from ovibjax.edge.judging import Judged, one_standard_error_choice
 from ovibjax.link.payload import representation_bytes
 
@@ -17,7 +17,7 @@ class Results:
 
     Attributes:
         judged: per method, one `Judged` per seed.
-        recoded: the same with the database passed through the code.
+        recoded: the same of `ovib` and `pca` with the database passed through the code, at `SPARSE_PREFIXES`.
         raw_mode_m: per view mode, mean raw error per seed.
         outcomes: per seed, the trained methods.
         raw_floats: floats of an uncompressed frame.
@@ -46,8 +46,12 @@ class Results:
         return np.array([judged.test_error_m[index].mean() for judged in self.judged[method]])
 
     def recoded_m(self, method: str) -> np.ndarray:
-        """[seeds] mean test error at `RECODED_K` with the database passed through the code."""
-        return np.array([judged.test_error_m[0].mean() for judged in self.recoded[method]])
+        """[seeds, SPARSE_PREFIXES] mean test errors with the database passed through the code."""
+        return np.stack([judged.test_error_m.mean(axis=1) for judged in self.recoded[method]])
+
+    def recoded_at(self, method: str, k: int) -> np.ndarray:
+        """[seeds] the same at one prefix."""
+        return self.recoded_m(method)[:, SPARSE_PREFIXES.index(k)]
 
     def payload_bytes(self, method: str, k: int) -> int:
         """Bytes of one representation: header and prefix, or raw float32 features."""
@@ -73,7 +77,8 @@ def collect(outcomes: dict[int, dict[str, Outcome]], raw_floats: int) -> Results
 def table_rows(results: Results) -> list[dict[str, Any]]:
     """One tidy row per method, prefix and seed."""
     rows = []
-    for method, per_seed in results.judged.items():
+    recoded = {f"{method}_recoded": per_seed for method, per_seed in results.recoded.items()}
+    for method, per_seed in (results.judged | recoded).items():
         ks = [results.raw_floats] if method == "raw" else prefixes_of(method).tolist()
         for seed, judged in zip(results.outcomes, per_seed, strict=True):
             for i, k in enumerate(ks):

@@ -7,6 +7,7 @@ import pytest
 from ovibjax.cards.codec_claims import codec_claims
 from ovibjax.cards.codec_frontier import Frontier, fewest_bytes
 from ovibjax.cards.codec_study import CodecPlan, choose_rows, judge_codecs
+from ovibjax.cards.codec_timing import encode_times_ms
 from ovibjax.cards.compression_methods import LATENT, Outcome
 from ovibjax.edge.judging import Judged
 from ovibjax.edge.localize import ETAS
@@ -19,6 +20,7 @@ from ovibjax.world.town.coded import CodedViews
 
 RUNGS = (("jpeg", 1), ("jpeg", 8), ("h265", 51))
 RAW_M = np.random.default_rng(1).uniform(0, 9, (1, 39)).astype(np.float32)
+ENCODE_MS = np.array([5.0, 8.0, 90.0])
 SIZES = np.array([1000.0, 4000.0, 16000.0])
 
 
@@ -64,7 +66,7 @@ def frontier():
         sizes = frames[:, None] * np.array([1, 10, 100]) + np.array([1, 2, 3])
         return CodedViews(plain, coded, sizes)
 
-    found = judge_codecs(feature_set, prepared, outcomes, CodecPlan(12, RUNGS), code)
+    found = judge_codecs(feature_set, prepared, outcomes, CodecPlan(12, RUNGS), code, ENCODE_MS)
     return found, asked, feature_set, error
 
 
@@ -108,15 +110,23 @@ def test_uncompressed_frames_against_plain_numpy(frontier):
 
 def test_table_has_a_row_per_rung_and_seed(frontier):
     rows = frontier[0].table_rows()
-    assert len(rows) == 6 and list(rows[0]) == ["codec", "quality", "seed", "payload_bytes", "mean_m", "p90_m"]
+    assert len(rows) == 6 and list(rows[0]) == [
+        "codec",
+        "quality",
+        "seed",
+        "payload_bytes",
+        "mean_m",
+        "p90_m",
+        "encode_ms",
+    ]
 
 
-def made(factor, errors=(4.0, 3.0, 3.0), ovib=4.0):
+def made(factor, errors=(4.0, 3.0, 3.0), ovib=4.0, encode_ms=(0.0, 0.0, 0.0)):
     """Three seeds on which every rung costs `factor` times O-VIB-32's 148 bytes, doubling per rung."""
     sizes = np.tile(148.0 * factor * np.array([1.0, 2.0, 1.0]), (3, 1)) * np.array([[0.99], [1.0], [1.01]])
     error = np.tile(np.array(errors, np.float32)[None, :, None], (3, 1, 4))
     level = np.full(3, 2.0)
-    return Frontier(RUNGS, (1, 2, 3), sizes, error, level, level, level, np.full(3, ovib))
+    return Frontier(RUNGS, (1, 2, 3), sizes, error, level, level, level, np.full(3, ovib), np.array(encode_ms))
 
 
 @pytest.mark.parametrize(
@@ -128,9 +138,25 @@ def made(factor, errors=(4.0, 3.0, 3.0), ovib=4.0):
         # JPEG reaches the error at its second rung only.
         (made(30, errors=(5.0, 4.0, 5.0)), HELD, NOT_HELD, "JPEG 60.0"),
         (made(10, errors=(9.0, 9.0, 9.0)), HELD, HELD, "JPEG never on 3 of 3"),
+        # Encoding counts: 50 times O-VIB's 50.4 ms, and the first rung of JPEG that reaches the error is the second.
+        (made(10, errors=(5.0, 4.0, 5.0), encode_ms=(0.0, 2600.0, 0.0)), NOT_HELD, HELD, "JPEG 20.0"),
     ],
 )
 def test_claims(frontier_, size, speed, word):
     by_size, by_speed = codec_claims(frontier_, link_kb_per_s=8)
     assert (by_size.verdict, by_speed.verdict) == (size, speed)
     assert word in by_size.ours and "12 frames were coded, and failures on fewer than one in 4" in by_size.ours
+
+
+def test_latency_is_encoding_at_the_rung_of_equal_error_plus_transmission():
+    frontier = made(10, errors=(5.0, 4.0, 5.0), encode_ms=(7.0, 30.0, 11.0))
+    np.testing.assert_array_equal(frontier.equal_error_encode_ms("jpeg"), [30.0, 30.0, 30.0])
+    sent_ms = 1e3 * 8 * 148 * 20 * np.array([0.99, 1.0, 1.01]) / 65536
+    np.testing.assert_allclose(frontier.latency_ms("jpeg", 65536.0), 30.0 + sent_ms, rtol=1e-6)
+    assert np.isinf(frontier.latency_ms("h265", 65536.0)).all()
+
+
+def test_encoding_is_timed_by_rung():
+    pictures = [np.random.default_rng(i).integers(0, 256, (5, 60, 80, 3), np.uint8) for i in range(2)]
+    times_ms = encode_times_ms(pictures, (("jpeg", 40), ("webp", 70)))
+    assert times_ms.shape == (2,) and 0 < times_ms[0] < times_ms[1] < 1e4

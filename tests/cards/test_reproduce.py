@@ -17,6 +17,7 @@ from ovibjax.features.frames import make_feature_set
 from tests.cli.cases import ovibjax
 
 TABLE_COLUMNS = ["method", "k", "seed", "payload_bytes", "mean_m", "p90_m", "eta"]
+METHODS = {"ovib", "ovib_fixed", "ovib_recoded", "vib", "pca", "pca_completed", "pca_recoded", "raw"}
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +39,7 @@ def check_outputs(folder: Path) -> list[dict[str, str]]:
     assert list(rows[0]) == TABLE_COLUMNS
     for row in rows:
         assert np.isfinite([float(row[name]) for name in ("payload_bytes", "mean_m", "p90_m", "eta")]).all()
-    assert {row["method"] for row in rows} == {"ovib", "ovib_fixed", "vib", "pca", "pca_completed", "raw"}
+    assert {row["method"] for row in rows} == METHODS
     assert len({(row["method"], row["k"], row["seed"]) for row in rows}) == len(rows)
     for seed in {row["seed"] for row in rows}:
         ks = [int(row["k"]) for row in rows if row["method"] == "ovib" and row["seed"] == seed]
@@ -76,7 +77,7 @@ def test_smoke_preset_makes_every_figure(names: tuple[str, ...], tmp_path: Path,
     assert {int(row["payload_bytes"]) for row in raw} == {4 * 5 * 512}
     with (tmp_path / "results" / "scalable_compression" / "codec.csv").open() as file:
         coded = list(csv.DictReader(file))
-    assert list(coded[0]) == ["codec", "quality", "seed", "payload_bytes", "mean_m", "p90_m"]
+    assert list(coded[0]) == ["codec", "quality", "seed", "payload_bytes", "mean_m", "p90_m", "encode_ms"]
     assert {row["codec"] for row in coded} >= {"jpeg"} and min(float(row["payload_bytes"]) for row in coded) > 500
     ovib = {int(row["k"]): int(row["payload_bytes"]) for row in rows if row["method"] == "ovib"}
     assert ovib[16] == 84 and ovib[35] == 160
