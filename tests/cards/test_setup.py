@@ -9,6 +9,7 @@ from PIL import Image
 
 from ovibjax.cards.catalog import cards_folder, load_card
 from ovibjax.cards.job import Job
+from ovibjax.cards.workloads import sizes_claim, workload_rows, workloads
 from ovibjax.features.frames import make_feature_set
 
 
@@ -39,3 +40,28 @@ def test_table_and_picture(tmp_path, scenes, n_views, setting):
     assert facts["setting"] == setting and ("first 12 of 14" in facts["caption"]) == (scenes == 14)
     with Image.open(tmp_path / "figure.png") as picture:
         assert picture.width >= 1000
+
+
+def test_all_seven_workloads_stand_beside_the_papers():
+    rows = workloads(seed=100)
+    assert [row.setting for row in rows if not row.equal] == ["Raw multi-scene data"] and len(rows) == 7
+    assert all("," not in text for row in workload_rows(rows) for text in row.values())
+    for row in rows:
+        # Every number that is compared stands in what the reader sees.
+        assert all(f"{size:g}" in row.paper.replace(".0", "") for size in row.paper_sizes), row.setting
+        assert all(f"{size:g}" in row.ours.replace(".0", "") for size in row.our_sizes), row.setting
+    assert sizes_claim(rows).ours == "6 of 7; not: Raw multi-scene data"
+    smaller = [rows[0]._replace(our_sizes=(400, 280, 60, 60, 5)), *rows[1:]]
+    assert sizes_claim(smaller).ours.startswith("5 of 7; not: Single-scene split")
+
+
+def test_the_embedded_town_has_the_table_of_workloads_and_other_data_do_not(tmp_path, monkeypatch):
+    card = load_card(cards_folder() / "setup.py")
+    monkeypatch.setattr(card, "draw", lambda *args: None)
+    rng = np.random.default_rng(0)
+    features = make_feature_set(rng.normal(size=(240, 5, 9)), rng.uniform(-30, 30, (240, 3)))
+    card.run(Job("setup", "smoke", tmp_path, 100, features, "embedded", None))
+    with (tmp_path / "workloads.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 7
+    card.run(Job("setup", "smoke", tmp_path, 100, features, "mine.npz", None))
+    assert not (tmp_path / "workloads.csv").exists()
