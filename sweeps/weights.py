@@ -78,7 +78,7 @@ def weight_rows(found: WeightSearch) -> list[dict[str, Any]]:
 def judge_claims(found: WeightSearch) -> list[Claim]:
     """What tuning gains on held-out seeds (no claim of the paper)."""
     change = interval(found.of("tuned_top10", "all", "edge_p95_ms") - found.of("paper", "all", "edge_p95_ms"))
-    return [
+    claims = [
         _gain(found, "tuned_top10", "top10", "the top decile"),
         _gain(found, "tuned_all", "all", "all requests"),
         Claim.reported(
@@ -89,6 +89,7 @@ def judge_claims(found: WeightSearch) -> list[Claim]:
         ),
         _gain_of_v(found),
     ]
+    return [claim.as_own() for claim in claims]
 
 
 def _gain(found: WeightSearch, setting: str, scope: str, word: str) -> Claim:

@@ -82,12 +82,14 @@ def repetitions(errors: np.ndarray) -> np.ndarray:
 
 def spread_of(errors_m: np.ndarray) -> dict[str, Interval]:
     """Mean, 90th percentile and recall of errors [rooms, seeds, Q], with intervals over repetitions."""
+    p90_m, recall = tails_of(errors_m)
+    return {"mean_m": interval(repetitions(errors_m)), "p90_m": interval(p90_m), "recall": interval(recall)}
+
+
+def tails_of(errors_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """90th percentile per room, and recall per repetition, of errors [rooms, seeds, Q]."""
     p90_m = np.percentile(errors_m, 90, axis=2).mean(axis=1)
-    return {
-        "mean_m": interval(repetitions(errors_m)),
-        "p90_m": interval(p90_m),
-        "recall": interval(repetitions((errors_m <= RECALL_M).astype(float))),
-    }
+    return p90_m, repetitions((errors_m <= RECALL_M).astype(float))
 
 
 def platform_of(features: FeatureSet) -> str:
