@@ -49,13 +49,13 @@ def judge_claims(gammas: Sequence[float], found: Ablation, effects: AlphaEffects
 def _nesting(found: Ablation, k: int, paper: str) -> Claim:
     full, without = found.at("full", k), found.at("no_nesting", k)
     ratio = interval(without / full).text("", 1)
-    return Claim.ratio_at_least(
+    return Claim.at_least(
         f"Nesting is needed at short prefixes: without it the error at k = {k} is 10 times larger",
         paper,
         f"{interval(without).text()} / {interval(full).text('m')}, ratio {ratio}",
         10.0,
-        without,
-        full,
+        without / full,
+        rule="interval of the paired ratio at least 10, the paper's 13.3 at k = 35 rounded down",
     )
 
 
