@@ -146,8 +146,9 @@ def _explain_differences(ax: Axes) -> None:
     ax.errorbar([], [], xerr=[], fmt="o", ms=4, color=fig.GREY, capsize=2, lw=1.2, label="mean, 95 %")
     ax.plot([], [], ".", ms=3, color="#888888", label="a seed")
     ax.plot([], [], "|", ms=8, mew=1.6, color="black", label="paper")
-    ax.set_ylim(bottom=ax.get_ylim()[0] + 0.9)
-    ax.legend(loc="lower center", ncols=3, columnspacing=1.0, handletextpad=0.4)
+    ax.set_ylim(bottom=ax.get_ylim()[0] + 0.9, top=-0.5)
+    look: dict[str, Any] = {"frameon": True, "framealpha": 1.0, "edgecolor": "none"}  # zero runs through it
+    ax.legend(loc="lower center", ncols=3, columnspacing=1.0, handletextpad=0.4, **look)
 
 
 def _draw_effect(ax: Axes, effects: AlphaEffects, arm: str, colour: str) -> None:
