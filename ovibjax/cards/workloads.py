@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from ovibjax.cards.retrieval_benchmark import FRAMES, QUERIES, TOWNS
 from ovibjax.control.drives import DRIVES
 from ovibjax.control.environment import PAPER_SLOTS
-from ovibjax.control.policies import POLICIES
+from ovibjax.control.policies import POLICIES, VARIANTS
 from ovibjax.features.splits import split_indices
 from ovibjax.report.claims import Claim
 from ovibjax.views import VIEWS
@@ -50,6 +50,7 @@ def workloads(seed: int) -> list[Workload]:
         Seven rows.
     """
     parts, views, towns = tuple(map(len, split_indices(PAPER_FRAMES, seed))), len(VIEWS), len(TOWNS)
+    papers = len(POLICIES) - len(VARIANTS)
     return [
         Workload(
             "Single-scene split",
@@ -79,8 +80,8 @@ def workloads(seed: int) -> list[Workload]:
             "Control workload",
             "Town02 route replay: 593 slots; 7 policies",
             (593, 7),
-            f"small embedded town: {DRIVES} drives of {PAPER_SLOTS} slots; {len(POLICIES)} policies",
-            (PAPER_SLOTS, len(POLICIES)),
+            f"small embedded town: {DRIVES} drives of {PAPER_SLOTS} slots; {papers} policies, and a variant",
+            (PAPER_SLOTS, papers),
             "voi_predictor request_control view_rate_selection voi_timing multi_client weights",
         ),
         Workload(

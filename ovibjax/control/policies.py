@@ -158,4 +158,7 @@ POLICIES: dict[str, Policy] = {
     "uncertainty": uncertainty,
     "oracle_action": oracle_action,
 }
-"""Policies by name; `voi_gap` is not the paper's, and the last is no causal policy but a bound."""
+"""Policies by name; the last is no causal policy but a bound."""
+
+VARIANTS = ("voi_gap",)
+"""Those that are ours and not the paper's."""
