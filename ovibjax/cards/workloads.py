@@ -80,7 +80,7 @@ def workloads(seed: int) -> list[Workload]:
             "Control workload",
             "Town02 route replay: 593 slots; 7 policies",
             (593, 7),
-            f"small embedded town: {DRIVES} drives of {PAPER_SLOTS} slots; {papers} policies, and a variant",
+            f"small embedded town: {DRIVES} drives of {PAPER_SLOTS} slots; {papers} policies and a variant",
             (PAPER_SLOTS, papers),
             "voi_predictor request_control view_rate_selection voi_timing multi_client weights",
         ),
