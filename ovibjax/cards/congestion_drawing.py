@@ -37,7 +37,7 @@ def draw_cost(ax: Axes, found: Congestion) -> None:
     panels.bars(ax, rows, inside=True)
     ax.set(xlabel="weighted cost, top decile")
     ax.set_xlim(right=1.25 * ax.get_xlim()[1])
-    ax.legend(loc="center right")
+    ax.legend(loc="upper right")
 
 
 def draw_edge(ax: Axes, found: Congestion) -> None:
@@ -90,9 +90,8 @@ def draw_levels(ax: Axes, found: Congestion) -> None:
     x = np.arange(len(LEVELS))
     for rule in NAMES:
         spans = [interval(found.at(rule, "top10", "edge_p95_ms", level)) for level in LEVELS]
-        width = {"base_dpp": 4.5, "maxweight": 2.6}.get(rule, 1.2)  # these may lie under FIFO
         means, caps = [s.mean for s in spans], [s.cap for s in spans]
-        look: dict[str, Any] = {"color": COLOURS[rule], "label": NAMES[rule], "lw": width, "elinewidth": 1}
+        look: dict[str, Any] = {"color": COLOURS[rule], "label": NAMES[rule], "lw": 1.4, "elinewidth": 1}
         ax.errorbar(x, means, caps, fmt="o-", ms=3.5, capsize=2, **look)
     ax.set_xticks(x, [f"{name}\nN = {n}, {rate:g} KB/s" for name, (n, rate) in LEVELS.items()])
     ax.set(ylabel="edge p95, top decile (ms)")

@@ -80,7 +80,7 @@ def draw_error(ax: Axes, found: ControlStudy, metric: str, paper_m: Mapping[str,
     ax.errorbar(mean, range(len(policies)), xerr=cap, label="with a gate (ours)", zorder=5, **look)
     # A bar may go on beyond the panel; its value stands beside its name.
     ax.set(xlabel="route error (m)", xlim=(0, 1.6 * max(*mean, *paper_m.values())))
-    ax.legend(loc="upper right", frameon=True, framealpha=0.85, edgecolor="none")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
 
 
 def draw_mean_and_p95(ax: Axes, found: ControlStudy, point: Point) -> None:
