@@ -96,10 +96,10 @@ def _draw_orders(ax: Axes, found: Ablation) -> None:
     some = slice(None, None, max(1, len(k) // 7))
     mean, deviation = found.order_m("random").mean(axis=0), found.deviation_of_permutations_m()
     look: dict[str, Any] = {"fmt": "none", "ecolor": "black", "elinewidth": 0.7, "capsize": 1.5, "zorder": 4}
-    ax.errorbar(k[some], mean[some], yerr=deviation[some], label="sd of 8 permutations", **look)
+    ax.errorbar(k[some], mean[some], yerr=deviation[some], label="sd, 8 permutations", **look)
     ax.set(xlabel="coordinates kept k", ylabel="mean error (m)", yscale="log", xlim=(0, 129))
     fig.plain_log_ticks(ax.yaxis)
-    ax.legend(loc="center", bbox_to_anchor=(0.42, 0.36))
+    ax.legend(loc="center", bbox_to_anchor=(0.37, 0.55), handlelength=1.6)
     fig.title(ax, "b", "the order is learned")
 
 
