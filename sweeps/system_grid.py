@@ -10,7 +10,7 @@ import xarray
 from ovibjax.cards.control_study import PAPER_PROFILE_KB_PER_S, drives_of
 from ovibjax.cards.job import Job
 from ovibjax.cards.system_drawing import METRICS, draw_edge, draw_error, draw_front, draw_shares
-from ovibjax.control.controller import PAPER_BUDGET_KB
+from ovibjax.control.controller import GATE_SIGMA, PAPER_BUDGET_KB
 from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims
@@ -138,9 +138,10 @@ def caption(found: xarray.Dataset, preset: Preset, points: int) -> str:
     size = preset.size
     return (
         f"{points} points x {len(POLICIES)} rules, one program: an encoder per (β, γ, seed), retrieval, g_ψ and "
-        f"request control per k, the queue per V and rule. {size.clients} clients on held-out routes, each followed by "
-        f"a fleet of {size.fleet} that repeats its requests, at {size.kb_per_s:g} KB/s (the paper's high congestion; "
-        f"its request control is at {PAPER_PROFILE_KB_PER_S:g} KB/s). (a) Route error and (b) top-decile edge p95 "
+        f"request control per k, the queue per V and rule. {size.clients} clients on held-out routes, each leading a "
+        f"fleet of {size.fleet} that asks when it does, with requests of all of them, at {size.kb_per_s:g} KB/s (the "
+        f"paper's high congestion; its request control is at {PAPER_PROFILE_KB_PER_S:g} KB/s); corrections beyond "
+        f"{GATE_SIGMA:g} sigma of what a client expects are discarded. (a) Route error and (b) top-decile edge p95 "
         "against k. (c) Every point, the lowest edge p95 on top; outlined: no other is better in KB, route error and "
         "edge p95 together. (d) Variance shares by axis, two-way interactions and the rest. "
         f"{fig.spread(found.sizes['seed'])}. V moves Base-DPP only."

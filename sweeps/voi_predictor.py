@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from ovibjax.cards.control_claims import judge_claims
 from ovibjax.cards.control_drawing import draw_mean_and_p95, draw_reductions
 from ovibjax.cards.control_results import policy_rows, reductions, study
-from ovibjax.cards.control_study import GATE_SIGMA, GATED, PAPER, ControlStudy
+from ovibjax.cards.control_study import GATED, PAPER, ControlStudy
 from ovibjax.cards.job import Job
-from ovibjax.control.controller import PAPER_BUDGET_KB
+from ovibjax.control.controller import GATE_SIGMA, PAPER_BUDGET_KB
 from ovibjax.control.protocols import paper_route
 from ovibjax.report import figures as fig
 from ovibjax.report import panels
@@ -31,7 +31,7 @@ def run(job: Job) -> None:
     write_rows(job.out / "sensitivity.csv", sensitivity_rows(found))
     write_claims(job.out / "claims.json", judge_claims(found))
     with job.stage("draw"):
-        panels.draw_panels(job.out / "figure.png", found, PANELS, 3, height_in=2.4)
+        panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.5)
     job.record(TITLE, caption(found), found.seeds, started, **facts(found))
 
 
@@ -93,7 +93,7 @@ def _draw_predictor(ax: Axes, found: ControlStudy) -> None:
     values = found.scene.predictor_m
     texts = [[f"{value:.1f}" for value in row] for row in values]
     panels.heat(ax, values, texts, "Blues", (0.5 * values.min(), 1.1 * values.max()))
-    ax.set_xticks(range(values.shape[1]), list(found.scene.actions.names), rotation=45)
+    ax.set_xticks(range(values.shape[1]), list(found.scene.actions.names))
     ax.set_yticks(range(values.shape[0]), list(found.scene.contexts))
 
 
@@ -112,7 +112,7 @@ def _draw_search(ax: Axes, found: ControlStudy) -> None:
 
 def _draw_p95_reduction(ax: Axes, found: ControlStudy) -> None:
     draw_reductions(ax, found, "p95_m", 31.0)
-    ax.legend(loc="lower left", ncols=2, fontsize=5.5, columnspacing=0.6, handlelength=1.4)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, fontsize=6, columnspacing=0.8, handlelength=1.6)
 
 
 PANELS: dict[str, panels.Panel] = {

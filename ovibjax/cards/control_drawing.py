@@ -98,8 +98,7 @@ def draw_mean_and_p95(ax: Axes, found: ControlStudy, point: Point) -> None:
             panels.paper_tick(ax, PAPER_P95_M[policy], row)
     panels.bars(ax, rows, height=0.6)
     ax.set(xlabel="route error (m): bar mean, diamond p95", xlim=(0, None))
-    look: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}
-    ax.legend(ax.get_legend_handles_labels()[0], ["paper (mean, p95)"], loc="upper right", **look)
+    ax.legend(ax.get_legend_handles_labels()[0], ["paper (mean, p95)"], loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
 def draw_reductions(ax: Axes, found: ControlStudy, metric: str, paper_percent: float) -> None:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.control.controller import PAPER_BUDGET_KB, Controller
+from ovibjax.control.controller import GATE_SIGMA, PAPER_BUDGET_KB, Controller
 from ovibjax.control.drift import DRIFT_MODELS
 from ovibjax.control.drives import DRIVES, embedded_drives, halves
 from ovibjax.control.environment import PAPER_SLOTS, Environment, Route, make_environment
@@ -47,9 +47,6 @@ class Point(NamedTuple):
     correction: str = "replace"
     gate_sigma: float = math.inf
 
-
-GATE_SIGMA = 3.0
-"""An innovation gate as navigation filters have it. The paper has none."""
 
 PAPER, GATED = Point(), Point(gate_sigma=GATE_SIGMA)
 """The paper's setting; the same, but corrections that look impossible to the client are discarded."""

@@ -63,7 +63,14 @@ def legend(ax: Axes, names: tuple[str, ...]) -> None:
     """Legend of view modes and contexts on one line."""
     handles, labels = ax.get_legend_handles_labels()
     handles += [Patch(color=CONTEXT_COLOURS[name]) for name in names]
-    look = {"columnspacing": 0.6, "handlelength": 0.9, "handletextpad": 0.3, "frameon": True, "framealpha": 0.85, "edgecolor": "none"}
+    look = {
+        "columnspacing": 0.6,
+        "handlelength": 0.9,
+        "handletextpad": 0.3,
+        "frameon": True,
+        "framealpha": 0.85,
+        "edgecolor": "none",
+    }
     ax.legend(handles, [*labels, *names], loc="upper center", ncols=len(handles), **look)
 
 

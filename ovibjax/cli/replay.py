@@ -46,6 +46,9 @@ class Replay:
     """How the error grows between corrections: linearly, faster, or as a random walk."""
     correction: Literal["replace", "kalman"] = "replace"
     """What the edge's position does: it becomes the estimate, or is fused with it."""
+    gate: float | None = None
+    """Discard corrections that lie further off than so many standard deviations of what the client expects; 3 is
+    usual, the paper has no such gate."""
     lambda_b: float | None = None
     """Price of a second of transmission, m/s."""
     lambda_d: float | None = None
@@ -84,7 +87,7 @@ class Replay:
             raise InputError(f"--route {self.route}: there are held-out routes 0 to {len(scene.held_out) - 1}")
         route = jax.tree.map(jax.numpy.asarray, scene.held_out[self.route])
         given = {"bandwidth_m_per_s": self.lambda_b, "delay_m_per_s": self.lambda_d}
-        given |= {"threshold_m": self.threshold, "min_gap_s": self.gap}
+        given |= {"threshold_m": self.threshold, "min_gap_s": self.gap, "gate_sigma": self.gate}
         control = make_controller(
             scene.actions,
             budget_kb=self.budget,
@@ -115,7 +118,7 @@ class Replay:
                 near = difflib.get_close_matches(name, POLICIES, n=1)
                 hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(POLICIES)}"
                 raise InputError(f"--policy {name}: no such policy; {hint}")
-        for name in ("seed", "route", "budget", "drift", "lambda_b", "lambda_d", "threshold", "gap"):
+        for name in ("seed", "route", "budget", "drift", "lambda_b", "lambda_d", "threshold", "gap", "gate"):
             value = getattr(self, name)
             if value is not None and not 0 <= value < float("inf"):
                 raise InputError(f"--{name.replace('_', '-')} {value} is not a number of zero or more")

@@ -32,6 +32,9 @@ preset selected."""
 THRESHOLD_M, MIN_GAP_S = 0.89, 5.5
 """Threshold and gap of the variant `voi_gap`, selected alike (with prices of 132.8 and 0.38 m/s)."""
 
+GATE_SIGMA = 3.0
+"""An innovation gate as navigation filters have it, for those who ask for one. The paper has none."""
+
 CORRECTIONS = ("replace", "kalman")
 """What a correction does: the edge's position becomes the estimate, or is fused with it."""
 
