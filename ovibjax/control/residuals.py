@@ -1,7 +1,8 @@
 """How far off the edge's answer is, for every frame and action (paper, Section "Local Belief and Predicted Edge Gain").
 
-The edge keeps some frames of the scene as references, encoded by the same checkpoint as the requests. Leave-one-out
-retrieval against them gives the realised residual of each frame and action.
+The edge keeps some frames of the scene as references, encoded by the same checkpoint, prefix and views as the request:
+not the frozen localizer of `edge.judging`, whose references are uncompressed. Leave-one-out retrieval against them
+gives the realised residual of each frame and action.
 """
 
 from functools import partial

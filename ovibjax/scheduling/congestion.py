@@ -27,7 +27,7 @@ class Case(NamedTuple):
     Attributes:
         clients: number of clients N.
         rate_kb_per_s: link profile.
-        phase_spread_s: spread of the clients' starts.
+        phase_spread_s: each request is shifted uniformly within this time.
     """
 
     clients: jax.Array

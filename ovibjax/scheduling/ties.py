@@ -1,7 +1,7 @@
 """Which of several requests is served where a rule gives them equal priority; the paper does not say.
 
-Requests tie often: without a second request of one client every backlog is one, so that MaxWeight ranks nothing, and
-clients that replay the same events send requests of equal value.
+MaxWeight ties often: without a second request of one client every backlog is one, so that it ranks nothing. Base-DPP,
+EDF and VOI-Lyapunov tie where values, deadlines or scores are exactly equal.
 """
 
 import jax
