@@ -10,6 +10,8 @@ from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
 if TYPE_CHECKING:
+    from ovibjax.control.actions import ActionSet
+    from ovibjax.control.controller import Controller
     from ovibjax.control.route_replay import RouteResult
     from ovibjax.control.scene import Scene
 
@@ -19,7 +21,7 @@ class Replay:
     """Replay a held-out route slot by slot under a request policy, and print what came of it.
 
     A client dead-reckons along the route and asks the edge for corrections. The default is the embedded town and
-    VOI-Control with the prices that the tuning seeds selected.
+    VOI-Control with the prices that the tuning seeds selected; voi_gap has prices of its own.
 
     Example: ovibjax replay --policy voi uncertainty --profile 8 --seed 103 --plot
     """
@@ -69,7 +71,6 @@ class Replay:
 
         from ovibjax.cards.control_study import PRESETS, drives_of
         from ovibjax.control.client_state import ControlParams
-        from ovibjax.control.controller import make_controller
         from ovibjax.control.environment import SLOT_S, draw, make_environment
         from ovibjax.control.route_replay import replay_draws
         from ovibjax.control.route_summary import summarize
@@ -86,23 +87,16 @@ class Replay:
         if self.route >= len(scene.held_out):
             raise InputError(f"--route {self.route}: there are held-out routes 0 to {len(scene.held_out) - 1}")
         route = jax.tree.map(jax.numpy.asarray, scene.held_out[self.route])
-        given = {"bandwidth_m_per_s": self.lambda_b, "delay_m_per_s": self.lambda_d}
-        given |= {"threshold_m": self.threshold, "min_gap_s": self.gap, "gate_sigma": self.gate}
-        control = make_controller(
-            scene.actions,
-            budget_kb=self.budget,
-            correction=self.correction,
-            **{name: v for name, v in given.items() if v is not None},
-        )
         env = make_environment(scene.context_share, self.profile, self.drift, self.drift_model)
-        params = ControlParams(env, control)
+        params = {name: ControlParams(env, self._controller(name, scene.actions)) for name in self.policy}
         draws = draw(jax.random.key(self.seed), route, env, scene.actions)
         if measured is not None:
             rate = resample(measured, SLOT_S, len(scene.held_out[self.route].context))
             draws = draws._replace(rate_bps=jax.numpy.asarray(rate))
         with console.status("replaying"):
             runs = {
-                name: jax.device_get(replay_draws(draws, route, name, params, scene.actions)) for name in self.policy
+                name: jax.device_get(replay_draws(draws, route, name, params[name], scene.actions))
+                for name in self.policy
             }
         summaries = {name: summarize(run) for name, run in runs.items()}
         self._print({name: [float(value) for value in summary] for name, summary in summaries.items()})
@@ -126,6 +120,17 @@ class Replay:
             raise InputError(f"--profile {self.profile} is not a positive number of KB/s")
         if self.plot and not self.out.parent.is_dir():
             raise InputError(f"--out {self.out}: the folder does not exist")
+
+    def _controller(self, policy: str, actions: "ActionSet") -> "Controller":
+        """What a policy replays with: what the user gave, else what the tuning seeds selected for it."""
+        from ovibjax.control.controller import GAP_LAMBDA_B_M_PER_S, GAP_LAMBDA_D_M_PER_S, make_controller
+
+        given = {"bandwidth_m_per_s": self.lambda_b, "delay_m_per_s": self.lambda_d}
+        given |= {"threshold_m": self.threshold, "min_gap_s": self.gap, "gate_sigma": self.gate}
+        numbers = {name: value for name, value in given.items() if value is not None}
+        if policy == "voi_gap":
+            numbers = {"bandwidth_m_per_s": GAP_LAMBDA_B_M_PER_S, "delay_m_per_s": GAP_LAMBDA_D_M_PER_S} | numbers
+        return make_controller(actions, budget_kb=self.budget, correction=self.correction, **numbers)
 
     def _print(self, rows: dict[str, list[float]]) -> None:
         from rich.console import Console

@@ -30,7 +30,10 @@ LAMBDA_B_M_PER_S, LAMBDA_D_M_PER_S = 328.2, 0.815
 preset selected."""
 
 THRESHOLD_M, MIN_GAP_S = 0.89, 5.5
-"""Threshold and gap of the variant `voi_gap`, selected alike (with prices of 132.8 and 0.38 m/s)."""
+"""Threshold and gap of the variant `voi_gap`, selected alike."""
+
+GAP_LAMBDA_B_M_PER_S, GAP_LAMBDA_D_M_PER_S = 132.8, 0.38
+"""Prices of that variant, selected with them; `make_controller` takes those of VOI-Control unless it is given these."""
 
 GATE_SIGMA = 3.0
 """An innovation gate as navigation filters have it, for those who ask for one. The paper has none."""
