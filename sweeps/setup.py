@@ -121,11 +121,11 @@ def caption(whole: Description, scenes: list[int], setting: str, embedded: bool)
     """What the reader of the figure needs to know."""
     shown = f"; the first {MAX_PICTURES} of {len(scenes)} scenes are shown" if len(scenes) > MAX_PICTURES else ""
     views = " Below: the five views at the ringed place." if embedded else ""
+    beside = "; workloads.csv sets all seven of its workloads beside the embedded ones" if embedded else ""
     return (
         f"Positions of the {whole.frames} frames from above, coloured by context{shown}.{views} The table gives the "
-        f"paper's numbers for its set {setting!r}; workloads.csv sets all seven of its workloads beside the embedded "
-        "ones. Route length and spacing follow the order of the frames within a scene; steps over ten times the median "
-        "count as breaks."
+        f"paper's numbers for its set {setting!r}{beside}. Route length and spacing follow the order of the "
+        "frames within a scene; steps over ten times the median count as breaks."
     )
 
 

@@ -63,5 +63,7 @@ def test_the_embedded_town_has_the_table_of_workloads_and_other_data_do_not(tmp_
     card.run(Job("setup", "smoke", tmp_path, 100, features, "embedded", None))
     with (tmp_path / "workloads.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 7
+    assert "workloads.csv" in (tmp_path / "provenance.json").read_text()
     card.run(Job("setup", "smoke", tmp_path, 100, features, "mine.npz", None))
     assert not (tmp_path / "workloads.csv").exists()
+    assert "workloads.csv" not in (tmp_path / "provenance.json").read_text()
