@@ -33,6 +33,8 @@ def run(job: Job) -> None:
 def judge_claims(found: ControlStudy) -> list[Claim]:
     """What the paper says of the dynamics."""
     grown = {policy: drift_when_asking(found, policy) for policy in ("voi", "budgeted_periodic")}
+    both = np.isfinite(list(grown.values())).all(axis=0)
+    grown = {policy: rate[both] for policy, rate in grown.items()}
     requests, kb = found.of("voi", "requests"), found.of("voi", "kb")
     return [
         _lower(found, "fixed_front"),
