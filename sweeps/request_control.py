@@ -11,6 +11,7 @@ from ovibjax.cards.control_results import policy_rows, representative, represent
 from ovibjax.cards.control_study import ControlStudy
 from ovibjax.cards.job import Job
 from ovibjax.cards.timeline import draw_requests, legend, shade, time_s
+from ovibjax.control.controller import GATE_SIGMA
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
@@ -82,7 +83,9 @@ def caption(found: ControlStudy) -> str:
     """What the reader of the figure needs to know."""
     return (
         f"(a), (b) Mean and 95th percentile of the route error over {len(found.seeds)} held-out seeds, 95 % intervals; "
-        "black ticks: the paper's values on its own route. Oracle action is a bound, no causal policy. (c) Error along "
+        "black ticks: the paper's values on its own route; diamonds: the same with a gate, which the paper does not "
+        f"have (corrections beyond {GATE_SIGMA:g} sigma of what the client expects are discarded). Bars may go on "
+        "beyond the panel; their value stands beside the name. Oracle action is a bound, no causal policy. (c) Error along "
         f"the held-out route, seed {found.seeds[representative(found)]}, the median one: VOI-Control and budgeted "
         "periodic on the same drift and channel; where the error jumps, the edge took a look-alike for the place. (d) "
         "The same seed: local risk, and VOI-Control's requests by view mode; background: route context."

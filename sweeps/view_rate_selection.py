@@ -124,9 +124,10 @@ def caption(found: ControlStudy) -> str:
     """What the reader of the figure needs to know."""
     return (
         f"VOI-Control on {len(found.seeds)} held-out seeds, 95 % intervals. (a) Share of slots with an upload "
-        "by context and view mode; black ticks: the paper's totals. (b) Medians: local risk before a request and after "
-        "its correction, and the realised residual of the position that the edge returned. (c) Train-only "
-        "median residual of the compact actions."
+        "by context and view mode; black ticks: the paper's totals, to which the drift rates of the contexts are "
+        "proportional, so that their order is partly put in. (b) Medians: local risk before a request and after "
+        "its correction, as the client holds it, and the realised residual of the position that the edge returned. "
+        "(c) Train-only median residual of the compact actions."
     )
 
 
