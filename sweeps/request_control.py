@@ -85,10 +85,10 @@ def caption(found: ControlStudy) -> str:
         f"(a), (b) Mean and 95th percentile of the route error over {len(found.seeds)} held-out seeds, 95 % intervals; "
         "black ticks: the paper's values on its own route; diamonds: the same with a gate, which the paper does not "
         f"have (corrections beyond {GATE_SIGMA:g} sigma of what the client expects are discarded). Bars may go on "
-        "beyond the panel; their value stands beside the name. Oracle action is a bound, no causal policy. (c) Error along "
-        f"the held-out route, seed {found.seeds[representative(found)]}, the median one: VOI-Control and budgeted "
-        "periodic on the same drift and channel; where the error jumps, the edge took a look-alike for the place. (d) "
-        "The same seed: local risk, and VOI-Control's requests by view mode; background: route context."
+        "beyond the panel; their value stands beside the name. Oracle action is a bound, no causal policy. (c) Error "
+        f"along the held-out route, seed {found.seeds[representative(found)]}, the median one: VOI-Control and "
+        "budgeted periodic on the same drift and channel; where the error jumps, the edge took a look-alike for the "
+        "place. (d) The same seed: local risk, and VOI-Control's requests by view mode; background: route context."
     )
 
 
