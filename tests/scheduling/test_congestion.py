@@ -30,7 +30,8 @@ def cases():
 
 @pytest.fixture(scope="module")
 def keys():
-    return jax.random.split(jax.random.key(9), SEEDS)
+    # With key 9 two requests at the edge of the top tenth are equal but for rounding, which differs between programs.
+    return jax.random.split(jax.random.key(11), SEEDS)
 
 
 def test_a_case_of_few_clients_is_the_trace_of_those(events, cases, keys):
