@@ -1,9 +1,10 @@
 """The command `ovibjax replay`: one route under one or several request policies."""
 
 import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from ovibjax.cli.options import own_frames
 from ovibjax.errors import InputError
@@ -44,10 +45,10 @@ class Replay:
     """Payload allowed over the route, KB."""
     drift: float = 1.0
     """Factor on the drift rates of the odometry."""
-    drift_model: Literal["rate", "integrated", "random_walk"] = "rate"
-    """How the error grows between corrections: linearly, faster, or as a random walk."""
-    correction: Literal["replace", "kalman"] = "replace"
-    """What the edge's position does: it becomes the estimate, or is fused with it."""
+    drift_model: str = "rate"
+    """How the error grows between corrections: rate (linearly), integrated (faster), random_walk."""
+    correction: str = "replace"
+    """What the edge's position does: replace (it becomes the estimate) or kalman (it is fused with it)."""
     gate: float | None = None
     """Discard corrections that lie further off than so many standard deviations of what the client expects; 3 is
     usual, the paper has no such gate."""
@@ -105,13 +106,19 @@ class Replay:
 
     def _check(self) -> None:
         """Refuse what cannot be replayed before anything is rendered."""
+        from ovibjax.control.controller import CORRECTIONS
+        from ovibjax.control.drift import DRIFT_MODELS
         from ovibjax.control.policies import POLICIES
 
-        for name in self.policy:
-            if name not in POLICIES:
-                near = difflib.get_close_matches(name, POLICIES, n=1)
-                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(POLICIES)}"
-                raise InputError(f"--policy {name}: no such policy; {hint}")
+        if not self.policy:
+            raise InputError(f"--policy: name at least one of {', '.join(POLICIES)}")
+        words: list[tuple[str, str, Sequence[str]]] = [("policy", name, tuple(POLICIES)) for name in self.policy]
+        words += [("drift-model", self.drift_model, tuple(DRIFT_MODELS)), ("correction", self.correction, CORRECTIONS)]
+        for option, word, known in words:
+            if word not in known:
+                near = difflib.get_close_matches(word, known, n=1)
+                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+                raise InputError(f"--{option} {word}: no such {option.replace('-', ' ')}; {hint}")
         for name in ("seed", "route", "budget", "drift", "lambda_b", "lambda_d", "threshold", "gap", "gate"):
             value = getattr(self, name)
             if value is not None and not 0 <= value < float("inf"):
@@ -120,6 +127,8 @@ class Replay:
             raise InputError(f"--profile {self.profile} is not a positive number of KB/s")
         if self.plot and not self.out.parent.is_dir():
             raise InputError(f"--out {self.out}: the folder does not exist")
+        if self.plot and (self.out.is_dir() or not self.out.suffix):
+            raise InputError(f"--out {self.out}: give the name of a file, such as replay.png")
 
     def _controller(self, policy: str, actions: "ActionSet") -> "Controller":
         """What a policy replays with: what the user gave, else what the tuning seeds selected for it."""
@@ -139,7 +148,8 @@ class Replay:
         table = Table()
         columns = ("policy", "mean error (m)", "p95 error (m)", "mean risk (m)", "requests", "payload (KB)")
         for column in columns:
-            table.add_column(column, justify="left" if column == "policy" else "right")
+            # The longest policy in full on 80 columns too.
+            table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=column == "policy")
         for name, (mean, p95, risk, requests, kb) in rows.items():
             table.add_row(name, f"{mean:.2f}", f"{p95:.2f}", f"{risk:.2f}", f"{requests:.0f}", f"{kb:.2f}")
         Console().print(table)

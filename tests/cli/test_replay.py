@@ -63,6 +63,11 @@ def test_bad_input_is_one_line_and_exit_code_2(
         ("--trace", "absent.txt"): "absent.txt",
         ("--data", "absent.npz"): "absent.npz",
         ("--plot", "--out", "absent/x.png"): "absent",
+        ("--plot", "--out", "."): "name of a file",
+        ("--policy",): "name at least one",
+        ("--drift-model", "random-walk"): "did you mean random_walk",
+        ("--correction", "fuse"): "there are replace, kalman",
+        ("--gate", "-1"): "--gate",
         ("--polcy", "voi"): "did you mean --policy",
     }
     monkeypatch.chdir(tmp_path)
