@@ -41,8 +41,11 @@ def run_study(scene: Scene, settings: Setting, size: StudySize, first_seed: int)
     count = len(scene.training)
     # A seed of its own for each route and repetition, so that one route repeated is more seeds of it.
     seeds = jnp.arange(count * size.tuning_seeds).reshape(count, size.tuning_seeds)
-    tuning = [RoutesAndSeeds(stack_routes(tuned), jax.vmap(seeds_to_keys)(seeds)) for tuned, _ in routes]
-    judged = [RoutesAndSeeds(in_turn(held_out, len(held)), seeds_to_keys(held)) for _, held_out in routes]
+    # Protocols stand side by side in one program, so that their routes are equally long.
+    tuned_on, judged_on = (shortest([*paper, *transfer]) for paper, transfer in zip(*routes, strict=True))
+    keys = jax.vmap(seeds_to_keys)(seeds)
+    tuning = [RoutesAndSeeds(stack_routes(tuned, tuned_on), keys) for tuned, _ in routes]
+    judged = [RoutesAndSeeds(in_turn(held_out, len(held), judged_on), seeds_to_keys(held)) for _, held_out in routes]
     return study(
         settings,
         make_environment(scene.context_share),
@@ -76,10 +79,15 @@ def paper_route(scene: Scene) -> int:
     return int(np.argmin([np.abs(mix - np.array(PAPER_CONTEXT_MIX)).sum() for mix in mixes]))
 
 
-def stack_routes(routes: list[Route]) -> Route:
-    """Routes of equal length with a leading axis; longer ones are cut to the shortest."""
-    slots = min(len(route.context) for route in routes)
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf[:slots]) for leaf in leaves]), *routes)
+def shortest(routes: list[Route]) -> int:
+    """Slots of the shortest of some routes."""
+    return min(len(route.context) for route in routes)
+
+
+def stack_routes(routes: list[Route], slots: int | None = None) -> Route:
+    """Routes of equal length with a leading axis; longer ones are cut to so many slots, or to the shortest."""
+    most = shortest(routes) if slots is None else slots
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf[:most]) for leaf in leaves]), *routes)
 
 
 def seeds_to_keys(seeds: Sequence[int] | np.ndarray | jax.Array) -> jax.Array:
@@ -87,6 +95,6 @@ def seeds_to_keys(seeds: Sequence[int] | np.ndarray | jax.Array) -> jax.Array:
     return jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
 
 
-def in_turn(routes: list[Route], count: int) -> Route:
-    """So many routes, those that are given in turn, with a leading axis."""
-    return jax.tree.map(lambda leaf: leaf[np.arange(count) % len(routes)], stack_routes(routes))
+def in_turn(routes: list[Route], count: int, slots: int | None = None) -> Route:
+    """So many routes, those that are given in turn, with a leading axis; cut as `stack_routes` does."""
+    return jax.tree.map(lambda leaf: leaf[np.arange(count) % len(routes)], stack_routes(routes, slots))

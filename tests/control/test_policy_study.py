@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from ovibjax.control import policy_study as module
+from ovibjax.control import protocols
 from ovibjax.control.actions import ACTIONS
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.drift import make_drift
 from ovibjax.control.policies import POLICIES
 from ovibjax.control.policy_search import candidates, lowest_risk, take
-from ovibjax.control.policy_study import RoutesAndSeeds, Setting, study
+from ovibjax.control.policy_study import RoutesAndSeeds, Setting, StudySize, study
 from ovibjax.control.protocols import in_turn, paper_route, routes_of, seeds_to_keys, stack_routes
 from ovibjax.control.route_summary import Summary
 from ovibjax.control.scene import Scene
@@ -203,3 +204,16 @@ def test_protocols_share_no_seed_and_the_paper_has_one_route():
     tuned, judged = routes_of(scene, "paper")
     assert len(tuned) == 2 and all(route is held_out[1] for route in (*tuned, *judged))
     assert routes_of(scene, "transfer") == (scene.training, scene.held_out)
+
+
+def test_a_training_route_longer_than_the_held_out_one_is_cut(monkeypatch):
+    """Somebody's own frames are one sequence, 60 % of it the training route: both protocols must be equally long."""
+    seen = []
+    monkeypatch.setattr(protocols, "study", lambda *arguments: seen.append(arguments))
+    scene = Scene([make_route(0, 30)], [make_route(1, 20)], np.ones((3, 8)), np.ones(3) / 3, CONTEXTS, ACTIONS)
+    protocols.run_study(scene, None, StudySize(candidates=2, tuning_seeds=2, held_out_seeds=3), 100)
+    ((*_, tuning, judged, _),) = seen
+    assert tuning.routes.context.shape == (2, 1, 20) and tuning.keys.shape == (2, 1, 2)
+    assert judged.routes.context.shape == (2, 3, 20) and judged.keys.shape == (2, 3)
+    np.testing.assert_array_equal(tuning.routes.residual_m[1, 0], scene.training[0].residual_m[:20])
+    np.testing.assert_array_equal(tuning.routes.residual_m[0, 0], scene.held_out[0].residual_m)
