@@ -1,8 +1,8 @@
 """What a client believes of its position, and what is true (paper, "Local Belief and Predicted Edge Gain").
 
 The client dead-reckons, and its error grows as a model of `drift` has it. The covariance follows the same model, so
-that the local risk is calibrated: the mean squared error equals tr P. A position from the edge becomes the estimate, or
-is fused with it as a Kalman filter does.
+that of what drift brings the mean squared error equals tr P. A position from the edge becomes the estimate, or is fused
+with it as a Kalman filter does; gross errors of the edge are not part of tr P, see `correct`.
 """
 
 import math

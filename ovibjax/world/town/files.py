@@ -73,6 +73,7 @@ def write_frames(
     town = make_town(town_config)
     route = make_route(town, town_config, n_frames, seed)
     context = context_labels(town, route.positions_m)
+    map_name = f"ovibjax-town-{town_config.seed}" + (f"-style-{town_config.style}" if town_config.style else "")
     try:
         for folder in ("calibration", "metadata", *(f"{kind}/{view}" for kind in _KINDS for view in VIEWS)):
             (out / folder).mkdir(parents=True, exist_ok=True)
@@ -82,7 +83,7 @@ def write_frames(
         for done, (frame, views) in enumerate(render_frames(town, route, todo), n_frames - len(todo) + 1):
             for (kind, view), pixels in _images(views).items():
                 write_whole(_image_file(out, kind, view, frame), png(pixels))
-            about = _metadata(route, frame, CONTEXTS[context[frame]], town_config.seed)
+            about = _metadata(route, frame, CONTEXTS[context[frame]], map_name)
             write_whole(_metadata_file(out, frame), _json(about))
             if on_frame is not None:
                 on_frame(done, n_frames)
@@ -116,14 +117,14 @@ def _images(views: Views) -> dict[tuple[str, str], NDArray[Any]]:
     return {(kind, view): pixels[kind][m] for kind in _KINDS for m, view in enumerate(VIEWS)}
 
 
-def _metadata(route: Route, frame: int, context: str, town_seed: int) -> dict[str, Any]:
+def _metadata(route: Route, frame: int, context: str, map_name: str) -> dict[str, Any]:
     """Time, place and context of one frame, in the words of the released metadata."""
     x, y, z = route.positions_m[frame].tolist()
     yaw_deg = float(np.rad2deg(route.yaw_rad[frame]))
     return {
         "frame": f"{frame:06d}",
         "timestamp": frame * FRAME_PERIOD_S,
-        "map_name": f"ovibjax-town-{town_seed}",
+        "map_name": map_name,
         "context": context,
         "uav_state": {
             "position": {"x": x, "y": y, "z": z},
