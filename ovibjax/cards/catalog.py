@@ -1,12 +1,12 @@
 """The cards: where they lie, what they are called, and how one is imported from its file."""
 
-import importlib.util
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 
 import ovibjax
 from ovibjax.errors import InputError
+from ovibjax.runtime.python_files import import_file
 
 
 def cards_folder() -> Path:
@@ -38,16 +38,7 @@ def load_card(path: Path) -> ModuleType:
     Raises:
         InputError: the file is missing, does not import, or is no card.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such sweep file")
-    spec = importlib.util.spec_from_file_location(f"ovibjax._cards.{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise InputError(f"{path}: not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise InputError(f"{path}: does not import: {type(error).__name__}: {error}") from error
+    module = import_file(path, f"ovibjax._cards.{path.stem}")
     for name in ("TITLE", "run"):
         if not hasattr(module, name):
             raise InputError(f"{path}: a sweep file defines TITLE and run(job); {name} is missing")
