@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGE, CARDS = ROOT / "ovibjax", ROOT / "sweeps"
+PACKAGE, CARDS, EXAMPLES = ROOT / "ovibjax", ROOT / "sweeps", ROOT / "examples"
 MOST_LINES, MOST_PARAMETERS = 60, 7
-CODE = sorted([*PACKAGE.rglob("*.py"), *CARDS.glob("*.py")])
+CODE = sorted([*PACKAGE.rglob("*.py"), *CARDS.glob("*.py"), *EXAMPLES.glob("*.py")])
 
 
 def lines_of(path):

@@ -22,7 +22,7 @@ PUBLIC = {
     "ovibjax": """FeatureSet InputError cards cli control edge encoder features link load_features make_feature_set
         report reproduce room_features runtime scheduling sweep system town_features views world""",
     "ovibjax.cards": "CardInterrupted Job PRESETS card_names card_paths load_card load_features load_pair",
-    "ovibjax.cli": "Best Features Replay Reproduce Show SweepSystem SweepTrain Town check_options",
+    "ovibjax.cli": "Best Features Replay Reproduce Show SweepRun SweepSystem SweepTrain Town check_options",
     "ovibjax.control": """ACTIONS ControlParams Environment POLICIES Prices Route Scene embedded_drives fit_predictor
         make_controller make_environment make_scene net_voi replay summarize""",
     "ovibjax.edge": """Index TrainAndJudge Trained brute_force build_index calibrate coarse_to_fine errors judge
@@ -152,7 +152,7 @@ def test_examples_in_readmes_run(code, monkeypatch, tmp_path, request):
 
 def test_files_named_in_the_readme_exist():
     root = PACKAGE.parent
-    named = re.findall(r"`((?:ovibjax|sweeps|results|tests)/[\w/.]*)`", (root / "README.md").read_text())
+    named = re.findall(r"`((?:ovibjax|sweeps|examples|results|tests)/[\w/.]*)`", (root / "README.md").read_text())
     assert named and [name for name in named if not (root / name).exists()] == []
 
 

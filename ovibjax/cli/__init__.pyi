@@ -4,8 +4,20 @@ from .main import check_options as check_options
 from .replay import Replay as Replay
 from .reproduce import Reproduce as Reproduce
 from .show import Show as Show
+from .sweep_run import SweepRun as SweepRun
 from .sweep_system import SweepSystem as SweepSystem
 from .sweep_train import SweepTrain as SweepTrain
 from .town import Town as Town
 
-__all__ = ["Best", "Features", "Replay", "Reproduce", "Show", "SweepSystem", "SweepTrain", "Town", "check_options"]
+__all__ = [
+    "Best",
+    "Features",
+    "Replay",
+    "Reproduce",
+    "Show",
+    "SweepRun",
+    "SweepSystem",
+    "SweepTrain",
+    "Town",
+    "check_options",
+]

@@ -17,6 +17,7 @@ from ovibjax.cli.features import Features
 from ovibjax.cli.replay import Replay
 from ovibjax.cli.reproduce import Reproduce
 from ovibjax.cli.show import Show
+from ovibjax.cli.sweep_run import SweepRun
 from ovibjax.cli.sweep_system import SweepSystem
 from ovibjax.cli.sweep_train import SweepTrain
 from ovibjax.cli.town import Town
@@ -29,7 +30,9 @@ class Sweep:
     """Compute a grid of members in one compiled program, into a store that survives a kill."""
 
     what: Annotated[
-        Annotated[SweepTrain, tyro.conf.subcommand("train")] | Annotated[SweepSystem, tyro.conf.subcommand("system")],
+        Annotated[SweepTrain, tyro.conf.subcommand("train")]
+        | Annotated[SweepSystem, tyro.conf.subcommand("system")]
+        | Annotated[SweepRun, tyro.conf.subcommand("run")],
         tyro.conf.arg(name=""),
     ]
     """What to do at every point."""
@@ -53,6 +56,7 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("reproduce",): Reproduce,
     ("sweep", "train"): SweepTrain,
     ("sweep", "system"): SweepSystem,
+    ("sweep", "run"): SweepRun,
     ("show",): Show,
     ("best",): Best,
     ("replay",): Replay,

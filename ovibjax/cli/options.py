@@ -1,5 +1,6 @@
-"""What several commands share: lists of numbers as typed, somebody's own frames, and how a command stops."""
+"""What several commands share: typed numbers, own frames, where a sweep is computed, and how a command stops."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +10,7 @@ from ovibjax.errors import InputError
 
 if TYPE_CHECKING:
     from ovibjax.features.frames import FeatureSet
+    from ovibjax.sweep.engine import Executor
 
 
 def numbers(name: str, items: Sequence[str], valid: Callable[[float], bool], rule: str) -> list[float]:
@@ -108,6 +110,43 @@ def own_frames(data: Path | None) -> "FeatureSet | None":
     own = load(data)
     require_frames(own, source=str(data))
     return own
+
+
+def split_processor(devices: int) -> None:
+    """Make the processor several devices; before jax starts, which is why commands import it late.
+
+    Args:
+        devices: how many.
+
+    Raises:
+        InputError: not a positive number.
+    """
+    if devices < 1:
+        raise InputError(f"--devices {devices} is not positive")
+    flags = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={devices}".strip()
+
+
+def executor_of(on: str, address: str | None) -> "Executor | None":
+    """Where the chunks of a sweep are computed.
+
+    Args:
+        on: `local` or `ray`.
+        address: a running Ray cluster; None starts a local one.
+
+    Returns:
+        The executor of `sweep.engine.run`; None for this process.
+
+    Raises:
+        InputError: an address without Ray, or Ray is not installed.
+    """
+    if on == "ray":
+        from ovibjax.sweep.cluster import on_ray
+
+        return on_ray(address)
+    if address is not None:
+        raise InputError("--address is for --on ray")
+    return None
 
 
 @contextmanager

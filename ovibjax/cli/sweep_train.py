@@ -1,12 +1,11 @@
 """The command `ovibjax sweep train`: an encoder trained and judged at every point of a grid."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ovibjax.cli.options import going_on_in, integers, numbers, require_positive
+from ovibjax.cli.options import executor_of, going_on_in, integers, numbers, require_positive, split_processor
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
@@ -74,12 +73,10 @@ class SweepTrain:
     def run(self) -> None:
         """Run the command."""
         if self.devices is not None:
-            _split_processor(self.devices)
+            split_processor(self.devices)
         axes, prefixes = self._axes(), self._prefixes()
         require_positive(self, "steps", "batch", "latent", "chunk")
-        if self.address is not None and self.on != "ray":
-            raise InputError("--address is for --on ray")
-        self._train(axes, prefixes, self._executor())
+        self._train(axes, prefixes, executor_of(self.on, self.address))
 
     def _axes(self) -> dict[str, list[Any]]:
         def at_least(low: float) -> Callable[[float], bool]:
@@ -106,13 +103,6 @@ class SweepTrain:
             return self.precision
         begun_with = (config_of(self.out) or {}).get("settings", {}).get("precision")
         return begun_with if begun_with in PRECISIONS else faster_precision()
-
-    def _executor(self) -> "Executor | None":
-        if self.on == "local":
-            return None
-        from ovibjax.sweep.cluster import on_ray
-
-        return on_ray(self.address)
 
     def _train(self, axes: dict[str, list[Any]], prefixes: tuple[int, ...], executor: "Executor | None") -> None:
         from ovibjax.cards.loading import load_features
@@ -169,11 +159,3 @@ class SweepTrain:
         diverged = int(dataset.diverged.sum())
         note = f", {diverged} diverged" if diverged else ""
         console.print(f"{dataset.finished.size} members{note}: {self.out}\nlook at them: ovibjax show {self.out}")
-
-
-def _split_processor(devices: int) -> None:
-    """Must happen before jax starts, which is why commands import it late."""
-    if devices < 1:
-        raise InputError(f"--devices {devices} is not positive")
-    flags = os.environ.get("XLA_FLAGS", "")
-    os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={devices}".strip()

@@ -123,6 +123,8 @@ def command(config: Mapping[str, Any], point: Mapping[str, Any], over: Mapping[s
     Raises:
         InputError: a sweep that no command of this software made.
     """
+    if config["function"].startswith("sweep_file."):
+        return _run_command(config, {**{name: [value] for name, value in point.items()}, **over}, out)
     what = {"System": "system", "TrainAndJudge": "train"}.get(config["function"].rpartition(".")[2])
     if what is None:
         raise InputError(f"the sweep was made from Python by {config['function']}; no command reruns it")
@@ -135,3 +137,11 @@ def command(config: Mapping[str, Any], point: Mapping[str, Any], over: Mapping[s
             continue
         words += [f"--{name.replace('_', '-')}", *map(text_of, items)]
     return shlex.join([*words, "--out", out])
+
+
+def _run_command(config: Mapping[str, Any], values: Mapping[str, Sequence[Any]], out: str) -> str:
+    """The command for a sweep that a Python file describes; the store knows the file by its name, not its folder."""
+    file = config["function"].removeprefix("sweep_file.").rpartition(".")[0]
+    # Numbers in full: rounded ones would be other points.
+    axes = [f"{name}={','.join(map(str, items))}" for name, items in values.items() if name in config["axes"]]
+    return shlex.join(["ovibjax", "sweep", "run", f"{file}.py", "--axis", *axes, "--out", out])

@@ -1,11 +1,32 @@
 """Whole grids in compiled calls: describe a grid, run it, store it, resume it, spread it.
 
+A tool of its own, which knows nothing of what is computed. A *member function* of jax is computed at every point of a
+grid of named axes; all points are one compiled program, and come back as one labelled dataset:
+
+>>> import jax
 >>> from ovibjax import sweep
->>> def member(key, point, shared):  # computed at every point of the grid, in one program
-...     return {"cost": (point["beta"] - shared) ** 2 + point["gamma"]}
->>> dataset = sweep.run(member, {"beta": [0.0, 1.0, 2.0], "gamma": [0.0, 0.5]}, 1.0)
->>> dataset.cost.sel(gamma=0.5).values.tolist()
-[1.5, 0.5, 1.5]
+>>> def member(key, point, shared):
+...     return {"cost": (point["beta"] - shared["best"]) ** 2 + 0.1 * jax.random.normal(key)}
+>>> axes = {"beta": [0.0, 1.0, 2.0], "seed": range(4)}
+>>> dataset = sweep.run(member, axes, {"best": 1.0}, units={"cost": "m"})
+>>> dict(dataset.sizes), dataset.cost.attrs["units"]
+({'beta': 3, 'seed': 4}, 'm')
+>>> dataset.cost.mean("seed").idxmin().item()
+1.0
+
+`point` has the member's value on every axis: floats as float32, whole numbers as int32, names as their place in the
+list. `key` follows the axis `seed`, so that members of one seed draw the same numbers and differences between them
+are paired. `shared` are data for all members; `Along` gives data per value of one axis. Outputs are arrays by name, of
+any shape; `dims`, `coords` and `units` label them. Members that are not finite are marked `diverged`.
+
+With `store="x.zarr"` members are on disk as soon as they are computed, and the same call goes on after a kill and ends
+with the same bits; a call that would compute something else is refused with what differs. `executor=on_ray()` computes
+chunks on a cluster, and several jax devices share them by themselves. Afterwards:
+
+- `open_dataset(path)` reads a store, also while it is being written; `config_of(path)` says what it holds.
+- `tree_of` makes a nested output (parameters, say) a tree again; `best` and `take` pick a member of it.
+
+The same from the shell, for a function in a file (`from_file.py`): `ovibjax sweep run mine.py --out x.zarr`.
 """
 
 import lazy_loader

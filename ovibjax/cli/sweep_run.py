@@ -1,0 +1,179 @@
+"""The command `ovibjax sweep run`: a function of one's own at every point of a grid."""
+
+import difflib
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from ovibjax.cli.options import executor_of, going_on_in, integers, numbers, require_positive, split_processor
+from ovibjax.errors import InputError
+from ovibjax.runtime.progress import console, progress_bar
+
+if TYPE_CHECKING:
+    from ovibjax.sweep.engine import Executor
+    from ovibjax.sweep.from_file import SweepFile
+    from ovibjax.sweep.grid import Axis
+
+_LARGEST = 2**31 - 1
+_LARGEST_FLOAT = 3.4028234663852886e38
+
+
+@dataclass(frozen=True)
+class SweepRun:
+    """Compute a function of your own at every point of a grid: one compiled program, a store that survives a kill.
+
+    FILE is a Python file. It defines axes, values by name, and member, a function that jax can compile:
+
+        axes = {"rate": [0.1, 0.5, 1.0], "seed": range(5)}
+
+        def member(key, point, shared):
+            return {"drawn": point["rate"] * jax.random.normal(key)}
+
+    Every combination of the values is a member. A point holds one value per axis, names as their place in the list of
+    FILE; the key follows the axis seed; arrays by name come back. FILE may also define shared() or shared(axes), which
+    loads arrays for all members (or ovibjax.sweep.Along, for an entry per value of an axis); units, dims and coords of
+    outputs; zipped, groups of axes that advance together; and settings, kept in the store and compared.
+
+    Finished members are written to OUT as they come: after Ctrl-C, a crash or a kill, the same command goes on where it
+    stopped. Another function, other data or settings on the same OUT are refused with what differs.
+
+    Example: ovibjax sweep run examples/digits.py --axis l2=1e-4,1e-2 seed=0:20 --out runs/digits.zarr
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The Python file."""
+    out: Path
+    """The store to write, a folder ending in .zarr; resumed if it holds the same sweep."""
+    axis: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = ()
+    """Values in place of the file's, NAME=VALUE,VALUE; whole numbers also as ranges: seed=0:5 is 0 1 2 3 4."""
+    on: Literal["local", "ray"] = "local"
+    """Where chunks are computed: this machine, or a Ray cluster (extra [cluster])."""
+    address: str | None = None
+    """Address of a running Ray cluster; a local one is started by default. OUT must be visible to its workers."""
+    devices: int | None = None
+    """Split the processor into so many devices; by default chunks run in one thread per core."""
+    chunk: int | None = None
+    """Members per chunk, the unit that is stored; chosen from memory by default."""
+    traceback: bool = False
+    """Show in full where in FILE an error came from."""
+
+    def run(self) -> None:
+        """Run the command."""
+        if self.devices is not None:
+            split_processor(self.devices)
+        require_positive(self, "chunk")
+        executor = executor_of(self.on, self.address)
+        try:
+            with _importing_beside(self.file):
+                self._sweep(executor)
+        except InputError as error:
+            if self.traceback and error.__cause__ is not None:
+                traceback.print_exception(error.__cause__)
+            raise
+
+    def _sweep(self, executor: "Executor | None") -> None:
+        import jax
+
+        from ovibjax.sweep.engine import run
+        from ovibjax.sweep.from_file import data_of, member_of, read_sweep_file
+
+        file = read_sweep_file(self.file)
+        axes = asked_axes([entry for entries in self.axis for entry in entries], file)
+        shared = data_of(file, axes)
+        with progress_bar("computing", 1) as update, going_on_in(self.out):
+            try:
+                dataset = run(
+                    member_of(file, axes),
+                    axes,
+                    shared,
+                    **file.options,
+                    store=self.out,
+                    chunk=self.chunk,
+                    executor=executor,
+                    on_progress=update,
+                )
+            except jax.errors.JaxRuntimeError as error:  # out of memory, a host function that raised
+                raise InputError(
+                    f"{self.file}: the program failed as it ran ({_gist(error)}); finished members are kept"
+                ) from error
+        diverged = int(dataset.diverged.sum())
+        note = f", {diverged} diverged" if diverged else ""
+        console.print(f"{dataset.finished.size} members{note}: {self.out}\nlook at them: ovibjax show {self.out}")
+
+
+def _gist(error: Exception) -> str:
+    """What a failed program says: the end of a host function's traceback, or the first line."""
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return lines[-1 if "Traceback" in lines[0] else 0].strip()[:300]
+
+
+@contextmanager
+def _importing_beside(file: Path) -> Iterator[None]:
+    """Modules beside the file can be imported, as when Python runs it."""
+    folder = str(file.absolute().parent)
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
+
+
+def asked_axes(entries: Sequence[str], file: "SweepFile") -> dict[str, "Axis"]:
+    """The axes of a file with the values that were typed.
+
+    Args:
+        entries: `NAME=VALUE,VALUE` each.
+        file: what the file says.
+
+    Returns:
+        All axes of the file, in its order.
+
+    Raises:
+        InputError: an entry of another form, an axis that the file does not have, or an impossible value.
+    """
+    axes, given = dict(file.axes), set[str]()
+    for entry in entries:
+        name, equals, typed = entry.partition("=")
+        if not equals or not typed:
+            raise InputError(f"--axis {entry}: write NAME=VALUE,VALUE (axes: {', '.join(axes)})")
+        if name not in axes:
+            near = difflib.get_close_matches(name, list(axes), n=1)
+            hint = f"did you mean {near[0]}? " if near else ""
+            raise InputError(f"--axis {entry}: {file.path} has no axis {name}; {hint}it has {', '.join(axes)}")
+        if name in given:
+            raise InputError(f"--axis {entry}: values of {name} are given twice; write all after one {name}=")
+        given.add(name)
+        axes[name] = replace(axes[name], values=tuple(_values(name, typed, list(axes[name].values))))
+    return axes
+
+
+def _values(name: str, typed: str, known: list[Any]) -> list[Any]:
+    """Values of an axis as typed, of the kind that the file's are."""
+    import numpy as np
+
+    # A name may hold a comma.
+    items = [typed] if typed in known else typed.split(",")
+    kind = np.asarray(known).dtype.kind
+    if kind == "U":
+        for item in items:
+            if item not in known:
+                raise InputError(f"--axis {name}={item}: no such name; the file has {', '.join(known)}")
+        return items
+    if kind == "b":
+        truths = {"true": True, "1": True, "false": False, "0": False}
+        for item in items:
+            if item.lower() not in truths:
+                raise InputError(f"--axis {name}={item}: values are true and false")
+        return [truths[item.lower()] for item in items]
+    if kind in "iu":
+        return integers(f"axis {name}", items, -_LARGEST, _LARGEST)
+    reals = numbers(f"axis {name}", items, lambda value: abs(value) <= _LARGEST_FLOAT, "numbers of 32 bits")
+    # What the member function could not tell from a value of the file is that value.
+    same = {np.float32(value): value for value in known}
+    return [same.get(np.float32(value), value) for value in reals]
