@@ -92,11 +92,10 @@ def grid_search(penalties: np.ndarray, seeds: int, tol: float) -> tuple[GridSear
     model = LogisticRegression(fit_intercept=False, max_iter=steps, tol=tol)
     splits = ShuffleSplit(n_splits=seeds, test_size=tested, random_state=0)
     search = GridSearchCV(model, {"C": costs}, cv=splits, n_jobs=os.cpu_count(), refit=False, return_train_score=True)
-    os.environ["PYTHONWARNINGS"] = "ignore"  # of its processes
-    _, seconds = timed(lambda: search.fit(x, digits))
     train = next(iter(splits.split(x)))[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
+        _, seconds = timed(lambda: search.fit(x, digits))
         fits = [LogisticRegression(**{**model.get_params(), "C": c}).fit(x[train], digits[train]) for c in costs[::8]]
     return search, seconds, float(np.mean([fit.n_iter_.max() for fit in fits]))
 
