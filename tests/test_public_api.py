@@ -36,14 +36,14 @@ PUBLIC = {
         open_source""",
     "ovibjax.link": """JETSON PayloadError Request Trace draw_gain fading_power kbytes_per_s make_channel_params pack
         profile_rate_bps rate_bps read_trace request_bytes resample semantic_latency_ms transmit_s unpack""",
-    "ovibjax.report": """Claim Interval band bars choose interval plot select sheet table variance_shares write_claims
-        write_csv write_page""",
+    "ovibjax.report": """Claim Interval Ranking band bars choose interval plot select sheet table variance_shares watch
+        write_claims write_csv write_page write_parquet""",
     "ovibjax.runtime": """PRECISIONS cache_folder faster_precision in_order in_threads keep_compiled_programs
         progress_bar workers""",
     "ovibjax.scheduling": """LEVELS POLICIES RequestTrace SchedulerParams TIES Weights default_params
         default_trace_params make_trace metrics recorded_events replay replay_coupled run_grid solve
         synthetic_events""",
-    "ovibjax.sweep": "Along Axis Interrupted best config_of on_ray open_dataset run take tree_of",
+    "ovibjax.sweep": "Along Axis Interrupted best config_of on_ray open open_dataset run take tree_of",
     "ovibjax.system": "DIMS HYPERS SystemConfig SystemData SystemSize along make_system run sweep_system",
     "ovibjax.world": """Camera RoomConfig TownConfig contact_sheet context_labels make_room make_route make_town
         platform_room render render_interior room_features rooms town town_features write_frames""",

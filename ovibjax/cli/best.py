@@ -3,13 +3,22 @@
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
+
+from ovibjax.errors import InputError
+
+if TYPE_CHECKING:
+    from ovibjax.report.best import RunnerUp
 
 
 @dataclass(frozen=True)
 class Best:
     """Print the point of a sweep with the lowest metric under bounds, and the command that reruns it alone.
+
+    The difference to the runner-up is paired by seed, with a 95 % interval: where that holds zero, the two cannot be
+    told apart, and more seeds are needed to say which is better.
 
     Example: ovibjax best runs/system.zarr --minimise mean_route_m --subject-to 'kb<=2.1' 'top_edge_p95_ms<=60'
     """
@@ -21,24 +30,55 @@ class Best:
     subject_to: tuple[str, ...] = ()
     """Bounds on other metrics: METRIC<=NUMBER, also >=, < and >; in quotes."""
     where: tuple[str, ...] = ()
-    """Points to choose among, e.g. k=16,32."""
-    over: str = "seed"
-    """The axis to average over."""
+    """Points to choose among, e.g. k=16,32 'beta>=1e-3'; as for `ovibjax show`."""
+    over: tuple[str, ...] = ("seed",)
+    """The axes to average over."""
 
     def run(self) -> None:
         """Run the command."""
         from ovibjax.report.best import choose, command
-        from ovibjax.report.labels import select, text_of, with_unit
+        from ovibjax.report.labels import with_unit
+        from ovibjax.report.selection import select
         from ovibjax.sweep.store import config_of, open_dataset
 
         dataset = select(open_dataset(self.path), self.where)
         found = choose(dataset, self.minimise, self.subject_to, self.over)
-        print(", ".join(f"{axis} = {text_of(value)}" for axis, value in found.point.items()))
+        print(_named(found.point))
         for name, mean in found.means.items():
             if mean == mean:
                 half = found.halves[name]
                 print(f"  {with_unit(dataset, name)}: {mean:.4g}" + (f" ± {half:.2g}" if isfinite(half) else ""))
-        print(f"  best of {found.feasible} points that keep the bounds, of {found.points}; means over {self.over}")
-        config = config_of(self.path) or {}
-        over = {self.over: found.over} if found.over else {}
-        print(command(config, found.point, over, str(self.path.with_name(f"{self.path.stem}-best.zarr"))))
+        means = f"means over {' and '.join(self.over)}" if found.over else "single members"
+        means += f" ({found.missing})" if found.missing else ""
+        print(f"  best of {found.feasible} points that keep the bounds, of {found.points}; {means}")
+        if found.runner_up is not None:
+            unit = dataset[self.minimise].attrs.get("units", "")
+            for line in _against(found.runner_up, "seed" if "seed" in found.over else "member", unit):
+                print(f"  {line}")
+        try:
+            out = str(self.path.with_name(f"{self.path.stem}-best.zarr"))
+            print(command(config_of(self.path) or {}, found.point, found.over, out))
+        except InputError as error:
+            print(f"  ({error})")
+
+
+def _against(runner_up: "RunnerUp", repetition: str, unit: str) -> list[str]:
+    """The runner-up in words: `runner-up beta = 0.01: higher by 0.3 ± 0.1 m over 5 common seeds`."""
+    difference, common = runner_up.difference, runner_up.common
+    named = f"runner-up {_named(runner_up.point)}"
+    if common == 0:
+        return [f"{named}: no {repetition} in common, so that the two cannot be compared"]
+    said = f"{named}: {'lower' if difference.mean < 0 else 'higher'} by {abs(difference.mean):.2g}"
+    if common == 1:
+        return [f"{said}{' ' + unit if unit else ''}; one {repetition} each, so that nothing tells how sure that is"]
+    said += f" ± {difference.half:.2g}{' ' + unit if unit else ''} over {common} common {repetition}s"
+    lines = [said if runner_up.apart else f"{said}: the two cannot be told apart"]
+    if runner_up.others > 1:
+        lines.append(f"{runner_up.tied} of {runner_up.others} other points cannot be told apart from the best")
+    return lines
+
+
+def _named(point: dict[str, object]) -> str:
+    from ovibjax.report.labels import text_of
+
+    return ", ".join(f"{axis} = {text_of(value)}" for axis, value in point.items())

@@ -1,21 +1,38 @@
-"""The command `ovibjax show`: the results of a sweep as a table, a CSV file or a plot."""
+"""The command `ovibjax show`: the results of a sweep as a table, a file or a plot, also while it is running."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from ovibjax.cli.options import require_positive
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from rich.table import Table
+
+_EVERY_S = 2.0
 
 
 @dataclass(frozen=True)
 class Show:
-    """Show the results of a sweep: a table here, a CSV file, or a plot; also while the sweep is running.
+    """Show the results of a sweep: a table here, a file for other programs, or a plot; also while it is running.
 
-    Example: ovibjax show runs/mine.zarr --metric test_mean_m --where prefix=35 --plot gamma --hue beta
+    A row of the table is a point of the grid, with the mean over its seeds and a 95 % interval; members that diverged
+    or are unfinished count in no mean, and a note says how many are missing. Examples:
+
+    ovibjax show runs/mine.zarr --metric test_mean_m --where prefix=8,35 'beta>=1e-3' --top 5
+
+    ovibjax show runs/mine.zarr --metric test_mean_m --where prefix=35 --plot gamma --hue beta
+
+    ovibjax show runs/mine.zarr --watch
     """
 
     path: tyro.conf.Positional[Path]
@@ -23,17 +40,29 @@ class Show:
     metric: str | None = None
     """What to show; all metrics by default."""
     where: tuple[str, ...] = ()
-    """Points to keep, e.g. prefix=16,35 beta=1e-3."""
-    over: str = "seed"
-    """The axis to average over, with 95 % intervals."""
+    """Conditions that all must hold: prefix=16,35 beta!=1e-3 'gamma>=0.1' (also <=, < and >; in quotes, as the shell
+    takes < and > for itself)."""
+    over: tuple[str, ...] = ("seed",)
+    """The axes to average over, with 95 % intervals; none shows every member by itself."""
+    sort: str | None = None
+    """Order rows by this metric (its mean, at the last point of its own axes) or axis, the lowest first."""
+    descending: bool = False
+    """The highest first."""
+    top: int | None = None
+    """Show only so many rows, by --sort, else by --metric."""
     rows: int = 40
     """Rows of the table at most."""
+    watch: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[SECONDS]")] = None
+    """Redraw the table every so many seconds (2 by default) until the sweep is complete or Ctrl-C; waits for a store
+    that is not there yet."""
     csv: Path | None = None
-    """Write every member as a row of this CSV file."""
-    plot: str | None = None
-    """Plot the metric against this axis."""
+    """Write every finished member as a row of this CSV file."""
+    parquet: Path | None = None
+    """Write the same rows as a Parquet file (extra [parquet])."""
+    plot: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="AXIS [AXIS]")] = None
+    """Plot the metric along this axis; over two axes, a heat map with the values in its cells."""
     hue: str | None = None
-    """One line per value of this axis."""
+    """One line of the plot per value of this axis."""
     out: Path | None = None
     """File of the plot (.png, .pdf or .svg); PATH with .png by default."""
 
@@ -41,21 +70,87 @@ class Show:
         """Run the command."""
         from rich.console import Console
 
-        from ovibjax.report.labels import select
-        from ovibjax.report.lines import plot
-        from ovibjax.report.show import table, write_csv
+        from ovibjax.report.selection import select
         from ovibjax.sweep.store import open_dataset
 
+        self._check()
+        if self.watch is not None:
+            self._watch(_seconds(self.watch))
+            return
         dataset = select(open_dataset(self.path), self.where)
+        files = self._files(dataset)
+        for path, write in files:
+            _writing(path, write)
+        if not files:
+            Console().print(self._table(dataset, None))
+
+    def _check(self) -> None:
+        """Refuse options that go nowhere together."""
+        require_positive(self, "rows", "top")
+        files = [f"--{name}" for name in ("csv", "parquet", "plot") if getattr(self, name) is not None]
+        ordered = [name for name, given in (("--sort", self.sort), ("--top", self.top)) if given is not None]
+        ordered += ["--descending"] * self.descending
+        if files and ordered:
+            raise InputError(f"{ordered[0]} is for the table, and {files[0]} shows every member; leave one out")
+        if files and self.watch is not None:
+            raise InputError(f"--watch draws the table, and {files[0]} a file once; leave one out")
+        if self.plot is not None and not 1 <= len(self.plot) <= 2:
+            raise InputError(f"--plot {' '.join(self.plot)}: give one axis for lines, or two for a heat map")
+        for name in ("hue", "out"):
+            if getattr(self, name) is not None and self.plot is None:
+                raise InputError(f"--{name} {getattr(self, name)}: it is for --plot; give that too")
+
+    def _table(self, dataset: "xr.Dataset", most: int | None) -> "Table":
+        from ovibjax.report.ranking import Ranking
+        from ovibjax.report.show import table
+
+        rows = self.rows if most is None else min(self.rows, most)
+        return table(dataset, self.metric, self.over, rows, Ranking(self.sort, self.descending, self.top))
+
+    def _watch(self, every_s: float) -> None:
+        from ovibjax.report.live import watch
+        from ovibjax.report.selection import select
+        from ovibjax.sweep.store import open_dataset
+
+        def read() -> "xr.Dataset | None":
+            if not self.path.exists():
+                return None
+            try:
+                dataset = open_dataset(self.path)
+            except InputError:
+                time.sleep(0.5)  # a writer may have been between two files
+                dataset = open_dataset(self.path)
+            return select(dataset, self.where)
+
+        watch(read, self._table, str(self.path), every_s)
+
+    def _files(self, dataset: "xr.Dataset") -> list[tuple[Path, Callable[[Path], Any]]]:
+        """What to write, and how."""
+        from ovibjax.report.export import write_csv, write_parquet
+
+        files: list[tuple[Path, Callable[[Path], Any]]] = []
         if self.csv is not None:
-            _writing(self.csv, lambda path: write_csv(dataset, path))
+            files.append((self.csv, partial(write_csv, dataset)))
+        if self.parquet is not None:
+            files.append((self.parquet, partial(write_parquet, dataset)))
         if self.plot is not None:
-            _writing(
-                self.out or self.path.with_suffix(".png"),
-                lambda path: plot(dataset, path, self.plot or "", self.metric, self.hue, self.over),
-            )
-        if self.csv is None and self.plot is None:
-            Console().print(table(dataset, self.metric, self.over, self.rows))
+            from ovibjax.report.plotting import plot
+
+            x, y = self.plot[0], self.plot[1] if len(self.plot) > 1 else None
+            draw = partial(plot, dataset, x=x, metric=self.metric, hue=self.hue, over=self.over, y=y)
+            files.append((self.out or self.path.with_suffix(".png"), draw))
+        return files
+
+
+def _seconds(given: tuple[str, ...]) -> float:
+    """Seconds between two looks."""
+    try:
+        every_s = [float(text) for text in given] or [_EVERY_S]
+    except ValueError:
+        every_s = []
+    if len(every_s) != 1 or not (isfinite(every_s[0]) and every_s[0] > 0):
+        raise InputError(f"--watch {' '.join(given)}: give one positive number of seconds, or none for {_EVERY_S:g}")
+    return every_s[0]
 
 
 def _writing(path: Path, write: Callable[[Path], Any]) -> None:

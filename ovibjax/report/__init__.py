@@ -10,6 +10,8 @@
 {'x': 1.0}
 >>> report.select(results, ["x=1,3"]).cost.values.tolist()
 [1.0, 1.0]
+>>> report.select(results, ["x>=1", "x!=2"]).x.values.tolist()
+[1.0, 3.0]
 """
 
 import lazy_loader

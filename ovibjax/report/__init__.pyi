@@ -3,19 +3,23 @@ from .claims import Claim as Claim
 from .claims import Interval as Interval
 from .claims import interval as interval
 from .claims import write_claims as write_claims
+from .export import write_csv as write_csv
+from .export import write_parquet as write_parquet
 from .figures import band as band
-from .labels import select as select
-from .lines import plot as plot
+from .live import watch as watch
 from .page import write_page as write_page
 from .panels import bars as bars
 from .panels import sheet as sheet
+from .plotting import plot as plot
+from .ranking import Ranking as Ranking
+from .selection import select as select
 from .shares import variance_shares as variance_shares
 from .show import table as table
-from .show import write_csv as write_csv
 
 __all__ = [
     "Claim",
     "Interval",
+    "Ranking",
     "band",
     "bars",
     "choose",
@@ -25,7 +29,9 @@ __all__ = [
     "sheet",
     "table",
     "variance_shares",
+    "watch",
     "write_claims",
     "write_csv",
     "write_page",
+    "write_parquet",
 ]

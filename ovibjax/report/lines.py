@@ -2,8 +2,7 @@
 
 import math
 import textwrap
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -13,41 +12,17 @@ from matplotlib.figure import Figure
 
 from ovibjax.errors import InputError
 from ovibjax.report import figures as fig
-from ovibjax.report.labels import average, axes_of, find, fixed, lacking, listing, metrics, prepare, text_of, with_unit
+from ovibjax.report.labels import text_of, with_unit
+from ovibjax.report.means import Over, average, laid_out
+from ovibjax.report.plot_choice import choose_drawn
 
 _COLOURS = (fig.BLUE, fig.ORANGE, fig.GREEN, fig.RED, fig.PURPLE, fig.SKY, fig.GREY)
 _MARKERS = "osD^vPX"
 _LOG_SPAN = 30.0
 
 
-def plot(
-    dataset: xr.Dataset, path: Path, x: str, metric: str | None = None, hue: str | None = None, over: str = "seed"
-) -> None:
-    """Draw a metric along an axis (see `line_figure`) and write the picture.
-
-    Args:
-        dataset: results.
-        path: picture to write, e.g. PNG, PDF or SVG.
-        x: as for `line_figure`.
-        metric: likewise.
-        hue: likewise.
-        over: likewise.
-
-    Raises:
-        InputError: as `line_figure`, or the file cannot be written.
-    """
-    figure = line_figure(dataset, x, metric, hue, over)
-    kinds = figure.canvas.get_supported_filetypes()
-    if path.suffix[1:].lower() not in kinds:
-        raise InputError(f"{path}: not a kind of picture; choose a name that ends in .png, .pdf or .svg")
-    try:
-        fig.save_figure(figure, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot write there ({error.strerror}); choose another file") from error
-
-
 def line_figure(
-    dataset: xr.Dataset, x: str, metric: str | None = None, hue: str | None = None, over: str = "seed"
+    dataset: xr.Dataset, x: str, metric: str | None = None, hue: str | None = None, over: Over = "seed"
 ) -> Figure:
     """A metric along an axis with its 95 % interval: lines with bands over numbers, points with bars over names.
 
@@ -59,7 +34,7 @@ def line_figure(
         x: axis along the abscissa.
         metric: the metric; may be left out where only one depends on `x`.
         hue: axis that gives one line per value.
-        over: axis to average over.
+        over: axes to average over.
 
     Returns:
         The figure, one column wide.
@@ -68,13 +43,15 @@ def line_figure(
         InputError: an unknown metric or axis, axes that exclude each other, an axis with several values left over, or
             nothing to draw.
     """
-    chosen = _choose(dataset, x, metric, hue, over)
-    data, name = chosen.data, chosen.metric
-    others = [dim for dim in data[name].dims if dim not in (chosen.x_dim, chosen.hue_dim, chosen.along)]
-    order = [chosen.hue_dim, chosen.x_dim] if chosen.hue_dim else [chosen.x_dim]
+    chosen = choose_drawn(dataset, (("plot", x), *((("hue", hue),) if hue is not None else ())), metric, over)
+    data, name, order = chosen.data, chosen.metric, chosen.dims[::-1]
+    if hue is not None and data.sizes[order[0]] > len(_COLOURS):
+        raise InputError(
+            f"--hue {hue}: {data.sizes[order[0]]} lines are too many to tell apart; choose up to {len(_COLOURS)} with "
+            f"--where {hue}={','.join(map(text_of, data[hue].values[:2]))},... or draw a heat map with --plot {x} {hue}"
+        )
     means, halves = (
-        np.atleast_2d(part.isel(dict.fromkeys(others, 0)).transpose(*order).values)
-        for part in average(data, data[name], chosen.along)
+        np.atleast_2d(laid_out(data, part, order).values) for part in average(data, data[name], chosen.along)
     )
     if not np.isfinite(means).any():
         raise InputError(f"{name}: no finished member has a finite value; there is nothing to draw")
@@ -95,64 +72,9 @@ def line_figure(
             look: dict[str, Any] = {"handlelength": 1.8, "columnspacing": 1.2, "title_fontsize": 6.5}
             title = with_unit(data, hue, pretty=True)
             figure.legend(loc="outside upper center", ncols=columns, title=title, **look)
-        notes = [fixed(data, others)] if others else []
-        if np.isfinite(halves).any():
-            notes.append(f"95 % intervals over {data.sizes[chosen.along]} values of {over}")
-        if lost := [f"{int(flag.sum())} {word}" for word, flag in lacking(data).items() if flag.any()]:
-            notes.append(f"without {' and '.join(lost)}")
-        ax.set_title(textwrap.fill("; ".join(notes), 66), loc="left", fontsize=6.5, color="0.35")
+        caption = textwrap.fill(chosen.caption(bool(np.isfinite(halves).any())), 66)
+        ax.set_title(caption, loc="left", fontsize=6.5, color="0.35")
     return figure
-
-
-class _Chosen(NamedTuple):
-    """What is drawn.
-
-    Attributes:
-        data: the results that are needed.
-        metric: the variable.
-        x_dim: dimension of the abscissa.
-        hue_dim: dimension with one line per point, if any.
-        along: dimension averaged over.
-    """
-
-    data: xr.Dataset
-    metric: str
-    x_dim: str
-    hue_dim: str | None
-    along: str
-
-
-def _choose(dataset: xr.Dataset, x: str, metric: str | None, hue: str | None, over: str) -> _Chosen:
-    """Metric and dimensions of a drawing, or what the user has to say first; see `line_figure`."""
-    axes, known = axes_of(dataset), metrics(dataset)
-    x_dim = axes[find(x, axes, "axis")]
-    fits = [name for name in known if x_dim in dataset[name].dims]
-    if metric is None and len(fits) != 1:
-        raise InputError(f"choose what to draw along {x} with --metric: {', '.join(fits) or 'nothing depends on it'}")
-    name = fits[0] if metric is None else find(metric, known, "metric")
-    data, along = prepare(dataset, [name], over)
-    hue_dim = axes[find(hue, axes, "axis")] if hue is not None else None
-    for role, axis, dim in (("x", x, x_dim), ("hue", hue, hue_dim)):
-        if dim == along:
-            raise InputError(f"--{role} {axis}: the mean is taken along it; choose another axis")
-        if dim is not None and dim not in data[name].dims:
-            raise InputError(f"--{role} {axis}: {name} does not depend on it; choose another axis")
-    if hue_dim == x_dim:
-        raise InputError(f"--hue {hue}: it advances together with {x}; choose another axis")
-    for dim in map(str, data[name].dims):
-        if dim not in (x_dim, hue_dim, along) and data.sizes[dim] > 1:
-            axis = next(iter(axes_of(data, [dim])))
-            values = data[axis].values
-            raise InputError(
-                f"{axis} has {len(values)} values ({listing(values)}): choose one with --where "
-                f"{axis}={text_of(values[-1])}" + ("" if hue else f" or draw a line for each with --hue {axis}")
-            )
-    if hue_dim and data.sizes[hue_dim] > len(_COLOURS):
-        raise InputError(
-            f"--hue {hue}: {data.sizes[hue_dim]} lines are too many to tell apart; choose up to {len(_COLOURS)} with "
-            f"--where {hue}={','.join(map(text_of, data[hue].values[:2]))},..."
-        )
-    return _Chosen(data, name, x_dim, hue_dim, along)
 
 
 def _lines(ax: Axes, x: np.ndarray, means: np.ndarray, halves: np.ndarray, labels: list[str], log: bool) -> None:

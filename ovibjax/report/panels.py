@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 
 from ovibjax.report.claims import Interval
 from ovibjax.report.figures import FEWEST_SEEDS, RED, YELLOW, mean_and_half, panels, save_figure, style, title
@@ -133,22 +134,32 @@ def columns(ax: Axes, groups: Sequence[str], series: Sequence[tuple[str, str, Se
     return places
 
 
-def heat(ax: Axes, shade: np.ndarray, texts: Sequence[Sequence[str]], cmap: str, limits: tuple[float, float]) -> None:
+def heat(
+    ax: Axes,
+    shade: np.ndarray,
+    texts: Sequence[Sequence[str]],
+    cmap: str,
+    limits: tuple[float, float] | Normalize,
+    size_pt: float = 6.5,
+) -> None:
     """A table whose cells are shaded by a number and hold a text; white where the shade is dark.
 
     Args:
         ax: the panel; tick labels are the caller's.
-        shade: [R, C] numbers.
+        shade: [R, C] numbers; a cell stays white where it is not a number.
         texts: [R][C] what the cells say.
         cmap: a colour map of matplotlib.
-        limits: numbers at its two ends.
+        limits: numbers at its two ends, or a norm of matplotlib.
+        size_pt: size of the texts.
     """
-    image = ax.imshow(shade, cmap=cmap, aspect="auto", vmin=limits[0], vmax=limits[1])
+    norm = limits if isinstance(limits, Normalize) else Normalize(*limits)
+    image = ax.imshow(np.ma.masked_invalid(shade), cmap=cmap, aspect="auto", norm=norm)
     for row, column in np.ndindex(*shade.shape):
-        red, green, blue, _ = image.cmap(image.norm(shade[row, column]))
+        known = bool(np.isfinite(shade[row, column]))
+        red, green, blue, _ = image.cmap(image.norm(shade[row, column])) if known else (1.0, 1.0, 1.0, 1.0)
         dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
         colour = "white" if dark else "black"
-        ax.text(column, row, texts[row][column], ha="center", va="center", fontsize=6.5, color=colour)
+        ax.text(column, row, texts[row][column], ha="center", va="center", fontsize=size_pt, color=colour)
     ax.tick_params(length=0)
     ax.grid(visible=False)
 

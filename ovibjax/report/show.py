@@ -1,8 +1,7 @@
-"""A sweep's results as a table in the terminal or a CSV file."""
+"""A sweep's results as a table in the terminal."""
 
 import math
 from collections import Counter
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,20 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from ovibjax.errors import InputError
-from ovibjax.report.claims import Interval
-from ovibjax.report.labels import (
-    average,
-    axes_of,
-    find,
-    fixed,
-    grid_dims,
-    labels_of,
-    metrics,
-    notes_on,
-    numbers_of,
-    prepare,
-    with_unit,
-)
+from ovibjax.report.cells import cells
+from ovibjax.report.labels import axes_of, find, fixed, grid_dims, labels_of, metrics, numbers_of, with_unit
+from ovibjax.report.means import Over, average, lacking, notes_on, over_text, prepare
+from ovibjax.report.ranking import Ranking
 
 MAX_METRICS = 9
 """Metrics that a table of all of them sets side by side, those with the fewest trailing points first."""
@@ -33,15 +22,24 @@ MAX_METRICS = 9
 MAX_COLUMNS = 4
 """Points of trailing dimensions that the table of one metric sets side by side; more become rows."""
 
+_GRID_ORDER = Ranking()
 
-def table(dataset: xr.Dataset, metric: str | None = None, over: str = "seed", max_rows: int = 40) -> Table:
+
+def table(
+    dataset: xr.Dataset,
+    metric: str | None = None,
+    over: Over = "seed",
+    max_rows: int = 40,
+    ranking: Ranking = _GRID_ORDER,
+) -> Table:
     """Means with their 95 % intervals, one row per combination of the axes, the lowest of each column in bold.
 
     Args:
         dataset: results.
         metric: the metric to show in full; None shows all, each at the last point of its trailing dimensions.
-        over: axis to average over; a dataset without `seed` is shown as it is.
-        max_rows: rows to show; those with a lowest value are always among them.
+        over: axes to average over; a dataset without `seed` is shown as it is.
+        max_rows: rows to show; in the order of the grid, those with a lowest value are always among them.
+        ranking: order of the rows, and how many are kept.
 
     Returns:
         The table, to be printed by rich.
@@ -56,37 +54,37 @@ def table(dataset: xr.Dataset, metric: str | None = None, over: str = "seed", ma
         [['x', '0.5', '2'], ['cost', '0.250', '4.000']]
     """
     names, captions = _metrics_to_show(dataset, metric)
-    data, along = prepare(dataset, names, over)
+    ranking = ranking.named(dataset, names)
+    sort = [ranking.by] if ranking.by is not None and ranking.by in metrics(dataset) else []
+    data, along = prepare(dataset, [*names, *sort], over)
     columns, rows, more = _columns(data, names, along, every_point=metric is not None)
     captions += more
     if any(np.isfinite(column.half).any() for column in columns):
-        captions.insert(0, f"mean ± half-width of its 95 % interval over {data.sizes[along]} values of {over}")
-
-    keys, notes = labels_of(data, rows, named=False), notes_on(data, along)
+        captions.insert(0, f"mean ± half-width of its 95 % interval over {over_text(data, along)}")
+    order, said = ranking.order(data, rows, along)
     lows = [_lowest(column.mean) for column in columns]
-    best = {int(low.argmax()) for low in lows if low.any()}
-    shown = sorted([*best, *(row for row in range(len(keys)) if row not in best)][: max(max_rows, len(best))])
-    if best:
+    if said:
+        captions.append(said)
+        shown = order[: max(max_rows, ranking.top or 0)].tolist()
+    else:
+        best = {int(low.argmax()) for low in lows if low.any()}
+        rest = (row for row in order.tolist() if row not in best)
+        shown = sorted([*best, *rest][: max(max_rows, len(best))])
+    if any(low[shown].any() for low in lows):
         captions.append("lowest in bold")
-    if len(shown) < len(keys):
-        captions.append(f"{len(shown)} of {len(keys)} rows, narrow down with --where AXIS=VALUE")
+    captions += _left_out(dataset, len(shown), len(lows[0]))
+    return _drawn(data, columns, (rows, along), shown, lows, captions)
+
+
+def _left_out(dataset: xr.Dataset, shown: int, rows: int) -> list[str]:
+    """What to say of rows and variables that are not in the table."""
+    captions = []
+    if shown < rows:
+        captions.append(f"{shown} of {rows} rows, narrow down with --where AXIS=VALUE")
     if hidden := sorted(set(numbers_of(dataset)) - set(metrics(dataset))):
         groups = Counter(name.split(".")[0] + ".*" if "." in name else name for name in hidden)
         captions.append(f"(not shown: {', '.join(f'{key} ({n})' if n > 1 else key for key, n in groups.items())})")
-
-    made = Table(title=Text(fixed(data, rows)), caption=Text("; ".join(captions)), box=box.SIMPLE_HEAD)
-    axes = axes_of(data, rows)
-    varying = [i for i, dim in enumerate(axes.values()) if data.sizes[dim] > 1]
-    for head in (*(with_unit(data, list(axes)[i]) for i in varying), *(column.head for column in columns)):
-        made.add_column(Text(head), justify="right")
-    if any(notes):
-        made.add_column("note")
-    cells = [_cells(column.mean, column.half) for column in columns]
-    for row in shown:
-        line = [Text(keys[row][i]) for i in varying]
-        line += [Text(text[row], "bold" if low[row] else "") for text, low in zip(cells, lows, strict=True)]
-        made.add_row(*line, *([Text(notes[row * len(notes) // len(keys)])] if any(notes) else []))
-    return made
+    return captions
 
 
 def _metrics_to_show(dataset: xr.Dataset, metric: str | None) -> tuple[list[str], list[str]]:
@@ -106,7 +104,7 @@ class _Column(NamedTuple):
 
     Attributes:
         head: metric with its unit, and the point of its trailing dimensions.
-        mean: [rows] mean over the averaged axis.
+        mean: [rows] mean over the averaged axes.
         half: [rows] half-width of its 95 % interval.
     """
 
@@ -116,15 +114,15 @@ class _Column(NamedTuple):
 
 
 def _columns(
-    data: xr.Dataset, names: list[str], along: str, every_point: bool
+    data: xr.Dataset, names: list[str], along: list[str], every_point: bool
 ) -> tuple[list[_Column], list[str], list[str]]:
     """Columns of a table, the dimensions of its rows, and what to say of points that are left out."""
     columns: list[_Column] = []
     captions: list[str] = []
-    grid = rows = [dim for dim in grid_dims(data) if dim != along]
+    grid = rows = [dim for dim in grid_dims(data) if dim not in along]
     for name in names:
         values = data[name]
-        trailing = [str(dim) for dim in values.dims if dim not in (*grid, along)]
+        trailing = [str(dim) for dim in values.dims if dim not in (*grid, *along)]
         points = math.prod(values.sizes[dim] for dim in trailing)
         if points > 1 and not every_point:
             values = values.isel({dim: [-1] for dim in trailing})
@@ -139,52 +137,35 @@ def _columns(
     return columns, rows, captions
 
 
-def write_csv(dataset: xr.Dataset, path: Path) -> None:
-    """Write one row per finished member and point of the trailing dimensions.
-
-    Columns are the axes, the trailing coordinates, the metrics and `diverged`. A metric is repeated along trailing
-    dimensions that it lacks; metrics whose trailing dimensions differ (prefix, epoch) have rows of their own, empty
-    elsewhere.
-
-    Args:
-        dataset: results.
-        path: CSV file to write.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    names, grid = metrics(dataset), grid_dims(dataset)
-    trailing = {name: [str(dim) for dim in dataset[name].dims if dim not in grid] for name in names}
-    spans = {frozenset(dims): dims for dims in trailing.values()} or {frozenset(): []}
-    blocks = [dims for span, dims in spans.items() if not any(span < other for other in spans)]
-    used = [*grid, *dict.fromkeys(dim for dims in blocks for dim in dims)]
-    columns = [*axes_of(dataset, used), *names, "diverged"]
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            for i, dims in enumerate(blocks):
-                inside = [name for name in names if set(trailing[name]) <= set(dims)]
-                frame = dataset[[*inside, "finished", "diverged"]].to_dataframe([*grid, *dims]).reset_index()
-                frame[frame["finished"]].reindex(columns=columns).to_csv(file, index=False, header=i == 0)
-    except OSError as error:
-        raise InputError(f"{path}: cannot write there ({error.strerror}); choose another file") from error
-
-
-def _cells(mean: np.ndarray, half: np.ndarray) -> list[str]:
-    """Text of one column [rows]: two digits of the typical half-width, or four of the typical value."""
-    halves, sizes = half[np.isfinite(half) & (half > 0)], np.abs(mean[np.isfinite(mean) & (mean != 0)])
-    digits = 0
-    if halves.size:
-        digits = 1 - math.floor(math.log10(np.median(halves)))
-    elif sizes.size and (sizes % 1).any():
-        digits = 3 - math.floor(math.log10(np.median(sizes)))
-    # Columns over many decades, or far from one, are written number by number.
-    fixed = digits <= 6 and (not sizes.size or (sizes.max() < 1e7 and sizes.min() >= 10.0 ** min(1 - digits, 0)))
-    cells = []
-    for m, h in zip(mean, half, strict=True):
-        spread = f" ± {h:.2g}" if math.isfinite(h) else ""
-        text = Interval(m, h).text(digits=max(digits, 0)) if fixed else f"{m:.4g}{spread}"
-        cells.append(text if math.isfinite(m) else "-")
-    return cells
+# What a table is made of, found by `table` step by step; a class of it would only rename the steps.
+def _drawn(
+    data: xr.Dataset,
+    columns: list[_Column],
+    dims: tuple[list[str], list[str]],
+    shown: list[int],
+    lows: list[np.ndarray],
+    captions: list[str],
+) -> Table:
+    """The table of some rows; `dims` are those of the rows and those averaged over."""
+    rows, along = dims
+    made = Table(title=Text(fixed(data, rows)), caption=Text("; ".join(captions)), box=box.SIMPLE_HEAD)
+    axes = axes_of(data, rows)
+    varying = [i for i, dim in enumerate(axes.values()) if data.sizes[dim] > 1]
+    for head in (*(with_unit(data, list(axes)[i]) for i in varying), *(column.head for column in columns)):
+        made.add_column(Text(head), justify="right")
+    flawed = any(bool(flag.any()) for flag in lacking(data).values())
+    if flawed:
+        made.add_column("note")
+    keys = labels_of(data, rows, named=False, at=shown)
+    # Trailing dimensions that became rows are the fastest; what is missing does not depend on them.
+    trailing = math.prod(data.sizes[dim] for dim in rows if dim not in grid_dims(data))
+    notes = notes_on(data, along, [row // trailing for row in shown]) if flawed else [""] * len(shown)
+    texts = [cells(column.mean, column.half, shown) for column in columns]
+    for place, row in enumerate(shown):
+        line = [Text(keys[place][i]) for i in varying]
+        line += [Text(text[place], "bold" if low[row] else "") for text, low in zip(texts, lows, strict=True)]
+        made.add_row(*line, *([Text(notes[place])] if flawed else []))
+    return made
 
 
 def _lowest(mean: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Whole grids in compiled calls: describe a grid, run it, store it, resume it, spread it.
+"""Whole grids in compiled calls: describe a grid, run it, store it, resume it, spread it, read it (`sweep.open`).
 
 A tool of its own, which knows nothing of what is computed. A *member function* of jax is computed at every point of a
 grid of named axes; all points are one compiled program, and come back as one labelled dataset:

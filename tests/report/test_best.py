@@ -6,6 +6,7 @@ import xarray as xr
 
 from ovibjax.errors import InputError
 from ovibjax.report.best import choose, command
+from ovibjax.report.claims import interval
 from ovibjax.report.shares import variance_shares
 
 
@@ -34,7 +35,7 @@ def test_the_lowest_mean_within_the_bounds(dataset):
     assert found.means["mean_route_m"] == pytest.approx(3.0) and found.halves["mean_route_m"] > 0
     assert np.isnan(found.means["top_cost"])  # depends on axes that were not chosen along
     assert choose(dataset, "mean_route_m").point == {"beta": 1e-2}
-    assert found.over == [100, 101, 102]
+    assert found.over == {"seed": [100, 101, 102]}
 
 
 def test_bounds_on_metrics_over_more_axes(dataset):
@@ -42,6 +43,51 @@ def test_bounds_on_metrics_over_more_axes(dataset):
     assert found.point == {"beta": 1e-3, "k": 16, "scheduler": "fifo"} and found.feasible == 1
     assert found.means["top_cost"] == pytest.approx(0.1)
     assert choose(dataset, "top_cost").point == {"beta": 1e-3, "k": 16, "scheduler": "fifo"}
+
+
+def test_the_runner_up_is_compared_on_the_seeds_that_both_have(dataset):
+    """Seeds differ by more than the points do; the paired difference does not."""
+    above_m = np.array([[1.0, 1.2, 1.1], [0.5, 0.6, 0.4], [0.0, 0.0, 0.0]])
+    dataset["mean_route_m"][:] = np.array([0.0, 10.0, 20.0]) + above_m
+    found = choose(dataset, "mean_route_m").runner_up
+    span = interval([0.5, 0.6, 0.4])
+    assert found.point == {"beta": 1e-3} and found.common == 3 and found.apart and (found.tied, found.others) == (0, 2)
+    assert (found.difference.mean, found.difference.half) == pytest.approx((span.mean, span.half))
+    dataset["finished"][2, 0] = False  # the lowest lacks its lowest seed, and is the lowest no more
+    found = choose(dataset, "mean_route_m")
+    assert found.point == {"beta": 1e-3} and found.runner_up.point == {"beta": 1e-4}
+    assert not found.missing
+    dataset["finished"][0, 1] = False
+    found = choose(dataset, "mean_route_m", ["mean_route_m>=11"])
+    assert found.missing == "2 of 3 seeds: 1 unfinished"
+    found = found.runner_up
+    assert found.point == {"beta": 1e-2} and found.common == 1 and not found.apart and np.isinf(found.difference.half)
+
+
+def test_points_that_cannot_be_told_apart_are_counted(dataset):
+    noise = np.array([[0.3, -0.2, 0.4], [0.0, 0.0, 0.0], [2.0, 2.1, 1.9]])
+    dataset["mean_route_m"][:] = 5.0 + noise
+    found = choose(dataset, "mean_route_m")
+    assert found.point == {"beta": 1e-3} and not found.runner_up.apart
+    assert found.runner_up.point == {"beta": 1e-4} and (found.runner_up.tied, found.runner_up.others) == (1, 2)
+    assert choose(dataset, "mean_route_m", ["mean_route_m<=5"]).runner_up is None
+
+
+def test_the_runner_up_is_another_point_of_the_metric(dataset):
+    """A bound on more axes leaves many points with one and the same route error."""
+    found = choose(dataset, "mean_route_m", ["top_cost>0"])
+    assert found.point == {"beta": 1e-2, "k": 8, "scheduler": "fifo"} and found.runner_up.point == {"beta": 1e-3}
+    found = choose(dataset, "top_cost").runner_up
+    assert set(found.point) == {"beta", "k", "scheduler"} and found.others == 11
+
+
+def test_several_axes_are_averaged_over(dataset):
+    found = choose(dataset, "top_cost", over=("seed", "beta"))
+    cost = dataset["top_cost"].mean("beta")
+    best = np.unravel_index(int(np.argmin(cost.mean("seed").values)), (2, 2))
+    assert found.point == {"k": [8, 16][best[0]], "scheduler": ["fifo", "edf"][best[1]]}
+    assert found.halves["top_cost"] == pytest.approx(interval(cost.values[:, best[0], best[1]]).half)
+    assert found.over == {"seed": [100, 101, 102], "beta": [1e-4, 1e-3, 1e-2]}
 
 
 def test_a_diverged_member_counts_in_no_mean(dataset):
@@ -75,6 +121,7 @@ def test_the_command_that_reruns_the_point():
     assert line == (
         "ovibjax sweep system --beta 0.001 --seed 100 101 --k 16 --kb-per-s 4 --scheduler edf --out 'a b.zarr'"
     )
+    assert "--beta 0.00012345678 " in command(config, {"beta": 0.00012345678}, {}, "x"), "the bits of the point"
     with pytest.raises(InputError, match="made from Python by mine"):
         command({**config, "function": "mine.fn"}, {}, {}, "x")
 

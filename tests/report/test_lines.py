@@ -8,8 +8,9 @@ import xarray as xr
 
 from ovibjax.errors import InputError
 from ovibjax.report.claims import interval
-from ovibjax.report.labels import select
-from ovibjax.report.lines import line_figure, plot
+from ovibjax.report.lines import line_figure
+from ovibjax.report.plotting import plot
+from ovibjax.report.selection import select
 from tests.report.cases import GAMMA, made_results, zipped
 
 
@@ -78,12 +79,12 @@ def test_plot_is_written(results, tmp_path, name: str) -> None:
         ({"x": "beta", "metric": "latancy"}, "no metric 'latancy'; did you mean latency"),
         (
             {"x": "beta", "metric": "latency"},
-            r"gamma has 4 values \(0, 0.01, 0.1, 1\).*--where gamma=1 or.*--hue gamma",
+            r"gamma has 4 values \(0, 0.01, 0.1, 1\).*--where gamma=1 or.*--hue gamma or.*--over seed gamma$",
         ),
         ({"x": "beta", "metric": "mean_m", "hue": "gamma"}, "prefix has 2 values .*--where prefix=35$"),
-        ({"x": "prefix", "metric": "loss"}, "--x prefix: loss does not depend on it"),
+        ({"x": "prefix", "metric": "loss"}, "--plot prefix: loss does not depend on it"),
         ({"x": "beta", "metric": "latency", "hue": "epoch"}, "--hue epoch: latency does not depend on it"),
-        ({"x": "seed", "metric": "latency"}, "--x seed: the mean is taken along it"),
+        ({"x": "seed", "metric": "latency"}, "--plot seed: the mean is taken along it"),
         ({"x": "beta", "metric": "latency", "over": "sede"}, "no swept axis 'sede'; did you mean seed"),
         ({"x": "beta", "metric": "latency", "hue": "beta"}, "--hue beta: it advances together with beta"),
     ],

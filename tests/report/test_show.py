@@ -1,6 +1,5 @@
-"""A sweep as a table and as a CSV file."""
+"""A sweep as a table."""
 
-import csv
 import io
 
 import numpy as np
@@ -11,9 +10,9 @@ from rich.table import Table
 
 from ovibjax.errors import InputError
 from ovibjax.report.claims import interval
-from ovibjax.report.labels import select
-from ovibjax.report.show import MAX_METRICS, table, write_csv
-from tests.report.cases import GRID, made_results, zipped
+from ovibjax.report.selection import select
+from ovibjax.report.show import MAX_METRICS, table
+from tests.report.cases import made_results, zipped
 
 
 @pytest.fixture
@@ -42,8 +41,8 @@ def test_table_holds_means_and_intervals_of_the_members_that_count(results) -> N
     assert len(rows) == 12 and rows[1][:2] == ["0.001", "0.01"]
     assert rows[1][2] == interval(results["latency"].values[0, 1]).text(digits=1)
     assert rows[8] == ["0.1", "0", interval(results["latency"].values[2, 0, 2:]).text(digits=1), rows[8][3]]
-    assert rows[8][3] == "diverged 1 of 5, unfinished 1 of 5"
-    assert rows[11][2:] == ["-", "diverged 5 of 5"]
+    assert rows[8][3] == "3 of 5 seeds: 1 diverged, 1 unfinished"
+    assert rows[11][2:] == ["-", "0 of 5 seeds: 5 diverged"]
     assert {row[3] for row in rows[:8]} == {""}
 
 
@@ -74,7 +73,8 @@ def test_many_trailing_points_become_rows_and_the_best_is_always_shown(results) 
     assert rows[-1][:3] == ["0.01", "1", "5"] and bold(made) == [(4, 3)]
     assert "5 of 72 rows" in str(made.caption)
     last = text(table(results, "loss", max_rows=100))
-    assert len(last) == 72 and last[48][4] == last[53][4] == "diverged 1 of 5, unfinished 1 of 5" and not last[47][4]
+    assert len(last) == 72 and last[48][4] == last[53][4] == "3 of 5 seeds: 1 diverged, 1 unfinished"
+    assert not last[47][4]
 
 
 def test_without_seeds_there_is_no_interval(results) -> None:
@@ -101,33 +101,11 @@ def test_other_axes_can_be_averaged_over(results) -> None:
     assert heads(made)[:2] == ["beta (1/bit)", "latency (ms)"]
     assert text(made)[0][1] == interval(results["latency"].values[0, :, 2]).text(digits=1)
     assert "seed = 2" in str(made.title)
-
-
-def test_csv_round_trip(results, tmp_path) -> None:
-    write_csv(results, tmp_path / "out.csv")
-    with (tmp_path / "out.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == [*GRID, "prefix", "epoch", "mean_m", "latency", "loss", "diverged"]
-    # 59 finished members; two prefixes and six epochs each, apart.
-    assert len(rows) == 59 * (2 + 6) and sum(row["prefix"] != "" for row in rows) == 59 * 2
-    assert sum(row["diverged"] == "True" for row in rows) == 6 * 8
-    for row in rows:
-        at = {axis: row[axis] for axis in GRID}
-        member = select(results, [f"{axis}={value}" for axis, value in at.items()]).squeeze()
-        assert float(row["latency"]) == pytest.approx(float(member["latency"]), rel=1e-12)
-        trailing, metric = ("prefix", "mean_m") if row["prefix"] else ("epoch", "loss")
-        point = member[metric].sel({trailing: int(row[trailing])})
-        assert float(row[metric]) == pytest.approx(float(point), rel=1e-6)
-
-
-def test_csv_of_scalars_and_zipped_axes(results, tmp_path) -> None:
-    path = tmp_path / "out.csv"
-    write_csv(zipped(results)[["latency", "finished", "diverged"]], path)
-    rows = list(csv.DictReader(path.read_text().splitlines()))
-    assert list(rows[0]) == ["beta", "gamma", "seed", "latency", "diverged"] and len(rows) == 14
-    assert {(row["beta"], row["gamma"]) for row in rows} == {("0.001", "0.01"), ("0.01", "0.1"), ("0.1", "1.0")}
-    with pytest.raises(InputError, match="cannot write there"):
-        write_csv(results, tmp_path / "missing" / "out.csv")
+    made = table(results, "latency", over=("seed", "gamma"))
+    assert heads(made) == ["beta (1/bit)", "latency (ms)", "note"]
+    assert text(made)[0][1] == interval(results["latency"].values[0].mean(axis=0)).text(digits=1)
+    assert text(made)[2][2] == "13 of 20 members: 6 diverged, 1 unfinished"
+    assert "5 values of seed, each a mean over gamma" in str(made.caption)
 
 
 def test_what_cannot_be_shown(results) -> None:
