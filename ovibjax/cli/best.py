@@ -10,7 +10,7 @@ import tyro
 from ovibjax.errors import InputError
 
 if TYPE_CHECKING:
-    from ovibjax.report.best import RunnerUp
+    from ovibjax.report.best import Choice, RunnerUp
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Best:
         print(f"  best of {found.feasible} points that keep the bounds, of {found.points}; {means}")
         if found.runner_up is not None:
             unit = dataset[self.minimise].attrs.get("units", "")
-            for line in _against(found.runner_up, "seed" if "seed" in found.over else "member", unit):
+            for line in _against(found, found.runner_up, "seed" if "seed" in found.over else "member", unit):
                 print(f"  {line}")
         try:
             out = str(self.path.with_name(f"{self.path.stem}-best.zarr"))
@@ -62,10 +62,11 @@ class Best:
             print(f"  ({error})")
 
 
-def _against(runner_up: "RunnerUp", repetition: str, unit: str) -> list[str]:
-    """The runner-up in words: `runner-up beta = 0.01: higher by 0.3 ± 0.1 m over 5 common seeds`."""
+def _against(found: "Choice", runner_up: "RunnerUp", repetition: str, unit: str) -> list[str]:
+    """The runner-up in words: `runner-up with beta = 0.01: higher by 0.3 ± 0.1 m over 5 common seeds`."""
     difference, common = runner_up.difference, runner_up.common
-    named = f"runner-up {_named(runner_up.point)}"
+    other = {axis: value for axis, value in runner_up.point.items() if value != found.point[axis]}
+    named = f"runner-up with {_named(other)}"
     if common == 0:
         return [f"{named}: no {repetition} in common, so that the two cannot be compared"]
     said = f"{named}: {'lower' if difference.mean < 0 else 'higher'} by {abs(difference.mean):.2g}"

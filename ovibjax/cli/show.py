@@ -40,8 +40,7 @@ class Show:
     metric: str | None = None
     """What to show; all metrics by default."""
     where: tuple[str, ...] = ()
-    """Conditions that all must hold: prefix=16,35 beta!=1e-3 'gamma>=0.1' (also <=, < and >; in quotes, as the shell
-    takes < and > for itself)."""
+    """Conditions that must all hold: prefix=16,35 beta!=1e-3 'gamma>=0.1' 'gamma<1' (< and > in quotes)."""
     over: tuple[str, ...] = ("seed",)
     """The axes to average over, with 95 % intervals; none shows every member by itself."""
     sort: str | None = None
@@ -53,8 +52,7 @@ class Show:
     rows: int = 40
     """Rows of the table at most."""
     watch: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[SECONDS]")] = None
-    """Redraw the table every so many seconds (2 by default) until the sweep is complete or Ctrl-C; waits for a store
-    that is not there yet."""
+    """Redraw the table every 2 or so many seconds until all is finished, or Ctrl-C; waits for a store to come."""
     csv: Path | None = None
     """Write every finished member as a row of this CSV file."""
     parquet: Path | None = None

@@ -17,7 +17,7 @@ from ovibjax.errors import InputError
 from ovibjax.report import figures as fig
 from ovibjax.report.cells import SPREAD, cells
 from ovibjax.report.labels import text_of, with_unit
-from ovibjax.report.means import Over, average, counted, laid_out
+from ovibjax.report.means import Over, average, counted, laid_out, over_text
 from ovibjax.report.panels import heat
 from ovibjax.report.plot_choice import Chosen, choose_drawn
 
@@ -60,13 +60,13 @@ def heat_figure(dataset: xr.Dataset, x: str, y: str, metric: str | None = None, 
     at = np.ix_(rows, columns)
     mean, half, count = mean[at], half[at], counted(data, order, chosen.along)[at]
     total = int(np.prod([data.sizes[dim] for dim in chosen.along]))
-    look = _look(_texts(mean, half, count, total), _texts(mean, np.full_like(half, np.nan), count, total))
+    look = _look(*(_texts(mean, half, count, total, spread) for spread in (True, False)))
     with mpl.rc_context(fig.style()):
         height_in = min(8.0, max(1.2, look.row_in * len(rows)) + 1.0)
         figure, (ax,) = fig.panels(1, width_in=look.width_in, height_in=height_in)
         _cells_of(ax, mean, look)
-        _ticks(ax, [text_of(value) for value in data[x].values[columns]])
-        ax.set_yticks(*_thinned([text_of(value) for value in data[y].values[rows]], 24))
+        _ticks(ax, _short(data[x].values[columns]))
+        ax.set_yticks(*_thinned(_short(data[y].values[rows]), 24))
         if data[y].dtype.kind in "fiu":
             ax.invert_yaxis()  # numbers grow upwards, names stand from the top
         ax.set(xlabel=with_unit(data, x, pretty=True), ylabel=with_unit(data, y, pretty=True))
@@ -74,7 +74,8 @@ def heat_figure(dataset: xr.Dataset, x: str, y: str, metric: str | None = None, 
         bar.outline.set_linewidth(0.5)
         if isinstance(ax.images[0].norm, LogNorm):
             fig.plain_log_ticks(bar.ax.yaxis)
-        ax.set_title(_caption(chosen, look, bool(np.isfinite(half).any())), loc="left", fontsize=6.5, color="0.35")
+        caption = _caption(chosen, look, bool(np.isfinite(half).any()))
+        figure.suptitle(caption, x=0.01, ha="left", fontsize=6.5, color="0.35")
     return figure
 
 
@@ -100,18 +101,19 @@ def _look(whole: list[list[str]], short: list[list[str]]) -> _Look:
     """The first way of writing that can be read: with intervals, without, a page wide, not at all."""
     for texts, width_in in ((whole, fig.COLUMN_IN), (short, fig.COLUMN_IN), (short, fig.PAGE_IN)):
         lines = [line for row in texts for cell in row for line in cell.split("\n")]
-        # A character is 0.58 of the type's size wide; a tenth of the cell stays free.
+        # A character is 0.6 of the type's size wide; a tenth of the cell stays free.
         cell_in = (width_in - _BESIDE_IN) / len(texts[0])
-        size_pt = min(_LARGEST_PT, 0.9 * 72 * cell_in / (0.58 * max(map(len, lines))))
+        size_pt = min(_LARGEST_PT, 0.9 * 72 * cell_in / (0.6 * max(map(len, lines))))
         if size_pt >= _SMALLEST_PT:
             most = max(cell.count("\n") + 1 for row in texts for cell in row)
             return _Look(texts, size_pt, width_in, most * 1.3 * size_pt / 72 + 0.06, texts is whole)
     return _Look([[""] * len(row) for row in short], _SMALLEST_PT, fig.COLUMN_IN, 0.05, False)
 
 
-def _texts(mean: np.ndarray, half: np.ndarray, count: np.ndarray, total: int) -> list[list[str]]:
-    """[rows][columns] what the cells say: mean, half-width and, where some are missing, how many count."""
+def _texts(mean: np.ndarray, half: np.ndarray, count: np.ndarray, total: int, spread: bool) -> list[list[str]]:
+    """[rows][columns] what the cells say: mean, half-width if wanted, and how many count where some are missing."""
     flat = [text.replace(SPREAD, "\n±") for text in cells(mean.ravel(), half.ravel())]
+    flat = flat if spread else [text.partition("\n")[0] for text in flat]
     flat = [
         f"{text}\n{n}/{total}" if 0 < n < total else text for text, n in zip(flat, count.ravel().tolist(), strict=True)
     ]
@@ -135,6 +137,12 @@ def _ticks(ax: Axes, texts: Sequence[str]) -> None:
     ax.set_xticks(places, shown, rotation=30 if steep else 0, ha="right" if steep else "center")
 
 
+def _short(values: np.ndarray) -> list[str]:
+    """Values of an axis for its ticks: three digits where they tell the values apart."""
+    texts = [f"{value:.3g}" if isinstance(value, np.floating) else text_of(value) for value in values]
+    return texts if len(set(texts)) == len(texts) else [text_of(value) for value in values]
+
+
 def _thinned(texts: Sequence[str], most: int) -> tuple[list[int], list[str]]:
     """Places and texts of ticks, every second, third ... where there are too many."""
     step = math.ceil(len(texts) / most)
@@ -149,5 +157,5 @@ def _in_order(values: np.ndarray) -> np.ndarray:
 def _caption(chosen: Chosen, look: _Look, intervals: bool) -> str:
     text = chosen.caption(intervals and look.spread)
     if intervals and not look.spread:
-        text = "; ".join(filter(None, [f"means over {', '.join(chosen.along)}", text]))
+        text = "; ".join(filter(None, [f"means over {over_text(chosen.data, chosen.along)}", text]))
     return textwrap.fill(text, 66 if look.width_in < fig.PAGE_IN else 140)

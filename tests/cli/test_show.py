@@ -134,7 +134,7 @@ def test_best_says_how_sure_it_is(shown):
     said = shown("--minimise", "cost", command="best")
     assert "x = 2, y = 0" in said and "best of 8 points that keep the bounds, of 8; means over seed" in said
     # The points differ by the same amount at every seed.
-    assert "runner-up x = 1, y = 0: higher by 1 ± " in said and "m over 3 common seeds\n" in said
+    assert "runner-up with x = 1: higher by 1 ± " in said and "m over 3 common seeds\n" in said
     assert "0 of 7 other points cannot be told apart from the best" in said
     assert "(the sweep was made from Python by tests.cli.test_show.member; no command reruns it)" in said
     said = shown("--minimise", "cost", "--where", "seed=1", command="best")
@@ -149,4 +149,4 @@ def test_best_among_equals(tmp_path, monkeypatch, capsys):
     axes = {"x": [0.0, 1.0], "seed": [0, 1, 2]}
     run(lambda key, point, data: {"y": data[point["x"].astype(int), point["seed"]]}, axes, noise, store=path)
     said = done_here(monkeypatch, capsys, "best", path, "--minimise", "y")
-    assert "runner-up x = 0: higher by 0.17 ± 0.8 over 3 common seeds: the two cannot be told apart" in said
+    assert "runner-up with x = 0: higher by 0.17 ± 0.8 over 3 common seeds: the two cannot be told apart" in said

@@ -40,7 +40,7 @@ def test_cells_hold_means_intervals_and_what_is_missing(results) -> None:
     assert figure.axes[1].get_ylabel() == "latency (ms)"
     assert [tick.get_text() for tick in ax.get_xticklabels()] == [f"{value:g}" for value in GAMMA]
     assert not ax.yaxis_inverted(), "numbers grow upwards"
-    caption = " ".join(ax.get_title("left").split())
+    caption = " ".join(figure.get_suptitle().split())
     assert "5 values of seed" in caption and "6 diverged and 1 unfinished" in caption
 
 
@@ -58,7 +58,7 @@ def test_axes_of_the_outputs_and_averages_over_others(results) -> None:
     figure = heat_figure(select(results, ["gamma=0"]), "prefix", "beta", "mean_m")
     assert written(figure).shape == (3, 2) and written(figure)[2, 0].endswith("3/5")
     figure = heat_figure(results, "prefix", "beta", "mean_m", over=("seed", "gamma"))
-    assert "each a mean over gamma" in " ".join(figure.axes[0].get_title("left").split())
+    assert "each a mean over gamma" in " ".join(figure.get_suptitle().split())
     assert written(figure)[2, 0].endswith("13/20")
 
 
