@@ -200,7 +200,7 @@ def test_help_teaches(monkeypatch, capsys):
 def test_the_best_point_comes_with_its_command(folder, done):
     done("mine.py", "--out", "a.zarr")
     found = choose(open_dataset("a.zarr"), "drawn", over="seed")
-    line = command(config_of("a.zarr"), found.point, {"seed": found.over}, "best.zarr")
+    line = command(config_of("a.zarr"), found.point, found.over, "best.zarr")
     kind = found.point["kind"]
     assert line.startswith("ovibjax sweep run mine.py --axis rate=") and f"kind={kind} flag=True seed=0,1" in line
     assert "2 members" in done(*line.split()[3:])
