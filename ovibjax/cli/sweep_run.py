@@ -60,6 +60,8 @@ class SweepRun:
     """Split the processor into so many devices; by default chunks run in one thread per core."""
     chunk: int | None = None
     """Members per chunk, the unit that is stored; chosen from memory by default."""
+    lanes: int | None = None
+    """Members vmapped together, from cache and memory by default; small members may gain from more, such as 4."""
     traceback: bool = False
     """Show in full where in FILE an error came from."""
 
@@ -67,7 +69,7 @@ class SweepRun:
         """Run the command."""
         if self.devices is not None:
             split_processor(self.devices)
-        require_positive(self, "chunk")
+        require_positive(self, "chunk", "lanes")
         executor = executor_of(self.on, self.address)
         try:
             with _importing_beside(self.file):
@@ -95,6 +97,7 @@ class SweepRun:
                     **file.options,
                     store=self.out,
                     chunk=self.chunk,
+                    lanes=self.lanes,
                     executor=executor,
                     on_progress=update,
                 )

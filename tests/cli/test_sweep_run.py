@@ -161,6 +161,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_same_command_goes_on(folder, done
         (("mine.py", "--address", "x"), "--address is for --on ray"),
         (("mine.py", "--devices", "0"), "--devices 0 is not positive"),
         (("mine.py", "--chunk", "0"), "--chunk 0 is not positive"),
+        (("mine.py", "--lanes", "0"), "--lanes 0 is not positive"),
         (("mine.py", "--axes", "rate=1"), "--axes: sweep run has no such option; did you mean --axis?"),
     ],
 )
