@@ -10,8 +10,8 @@ images as often, each fit with a split of its own by seed, and score it on its t
 - engine: `sweep.run` in this process, in memory, compiled before.
 - plain loop: `jax.jit` of the member function, called point after point, compiled before.
 - GridSearchCV: `LogisticRegression`, one process per core, started for it. It has no rate, so that its grid has so many
-  more penalties. It stops where it has converged (`tol` 1e-4, the default) or after as many iterations as our steps; with `tol` 0 it
-  goes on as long as its line search finds anything lower.
+  more penalties. It stops where it has converged (`tol` 1e-4, the default) or after as many iterations as our steps;
+  with `tol` 0 it goes on as long as its line search finds anything lower.
 
 Figures are added by whoever runs it on a quiet machine.
 """
