@@ -13,11 +13,12 @@ class InputError(ValueError):
     """
 
 
-def refusal(source: StrPath, reason: str) -> InputError:
-    """The error for one bad input: `source: reason` on one line, whatever the file is called."""
+def refusal(source: StrPath, reason: str, line: int | None = None) -> InputError:
+    """The error for one bad input: `source: line 3: reason` on one line, whatever the file is called or holds."""
     # Corrupt headers can put thousands of characters into a reason.
-    line = f"{os.fspath(source)}: {reason if len(reason) <= 300 else reason[:297] + '...'}"
-    return InputError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in line))
+    short = reason if len(reason) <= 300 else reason[:297] + "..."
+    place = os.fspath(source) if line is None else f"{os.fspath(source)}: line {line}"
+    return InputError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in f"{place}: {short}"))
 
 
 def unreadable(path: StrPath, what: str, error: BaseException) -> InputError:

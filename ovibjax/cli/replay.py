@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ovibjax.control.controller import Controller
     from ovibjax.control.route_replay import RouteResult
     from ovibjax.control.scene import Scene
+    from ovibjax.link.traces import Trace
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,16 @@ class Replay:
     route: int = 0
     """Which held-out route."""
     trace: Path | None = None
-    """A measured throughput trace instead of the profile: two columns `time_s Mbit/s`, or a CSV with named columns."""
+    """A measured throughput trace instead of the profile: two columns `seconds Mbit/s` (Pensieve), a table with named
+    columns (CSV, drive tests), bare rates per second, Mahimahi, the 4G and HSDPA logs, or JSON of iperf3."""
+    max_gap: float | None = None
+    """Longest interval between samples of the trace, s; by default 10, or 5 times the usual interval. In a gap that
+    only this allows the link is dead."""
+    trace_unit: str | None = None
+    """Unit of the trace's rates where its file does not say it: bit, kbit, Mbit, Gbit, byte, kB, KB, MB."""
+    trace_column: tuple[str, ...] = ()
+    """Which columns of the trace are meant: DL_bitrate, or with what they hold, time_ms=t kbps=down; columns without
+    names are 1, 2, ..."""
     data: Path | None = None
     """Your own frames, in order and half a second apart (.npz or folder, see `ovibjax reproduce --help`): the first
     60 % are the training route, the rest is replayed."""
@@ -76,10 +86,9 @@ class Replay:
         from ovibjax.control.route_replay import replay_draws
         from ovibjax.control.route_summary import summarize
         from ovibjax.control.scene import make_scene
-        from ovibjax.link.trace_files import read_trace
         from ovibjax.link.traces import resample
 
-        measured = read_trace(self.trace) if self.trace is not None else None
+        measured = self._measured()
         own = own_frames(self.data)
         with progress_bar("rendering the routes", 1) as update:
             drives, training = drives_of("full", own, update)
@@ -103,6 +112,19 @@ class Replay:
         self._print({name: [float(value) for value in summary] for name, summary in summaries.items()})
         if self.plot:
             self._draw(runs[self.policy[0]], scene)
+
+    def _measured(self) -> "Trace | None":
+        """The measured trace, if one is given; says what was understood."""
+        from ovibjax.link.trace_files import read_trace
+
+        if self.trace is None:
+            for name in ("max_gap", "trace_unit", "trace_column"):
+                if getattr(self, name) not in (None, ()):
+                    raise InputError(f"--{name.replace('_', '-')} belongs to --trace FILE")
+            return None
+        trace = read_trace(self.trace, self.max_gap, self.trace_unit, self.trace_column)
+        console.print(f"trace: {trace.source}: {trace.describe()}", markup=False, highlight=False, soft_wrap=True)
+        return trace
 
     def _check(self) -> None:
         """Refuse what cannot be replayed before anything is rendered."""

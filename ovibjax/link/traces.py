@@ -2,12 +2,11 @@
 
 import operator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ovibjax.errors import InputError
+from ovibjax.errors import InputError, refusal
 
 TIME_LIMIT_S = 1e11
 """Latest time accepted: beyond the year 5000, but early in 1973 for a Unix time in milliseconds."""
@@ -16,12 +15,6 @@ RATE_LIMIT_BPS = 1e15
 
 _MAX_REPEATS = 1e9
 _SNAP = 1e-6  # of a slot
-
-
-def refusal(path: str | Path, reason: str, line: int | None = None) -> InputError:
-    """The error for one bad file: `path: line 3: reason`, on one line whatever the file is called or holds."""
-    place = f"{path}: " if line is None else f"{path}: line {line}: "
-    return InputError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in place + reason))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +28,7 @@ class Trace:
         time_s: [n] float64 seconds, increasing, from any origin; a read-only copy, as is the next.
         rate_bps: [n] float64 bits per second, zero or more.
         source: what messages call the trace; the file it was read from.
+        form: what the file was taken for, its samples, and what was left out or added.
 
     Raises:
         InputError: fewer than two samples, differing lengths, a time that does not increase, or a rate that is
@@ -44,6 +38,7 @@ class Trace:
     time_s: NDArray[np.float64]
     rate_bps: NDArray[np.float64]
     source: str = "trace"
+    form: str = ""
 
     def __post_init__(self) -> None:
         for name in ("time_s", "rate_bps"):
@@ -62,6 +57,19 @@ class Trace:
     def duration_s(self) -> float:
         """Seconds from the first sample to the last."""
         return float(self.time_s[-1] - self.time_s[0])
+
+    def describe(self) -> str:
+        """What was understood, in one line: form, samples, seconds, mean and peak rate."""
+        mean_bps = float(self.rate_bps[1:] @ np.diff(self.time_s)) / self.duration_s
+        form = self.form or f"{self.time_s.size} samples"
+        rates = f"mean {_rate_text(mean_bps)}, peak {_rate_text(float(self.rate_bps[1:].max()))}"
+        return f"{form}; {self.duration_s:.5g} s, {rates}"
+
+
+def _rate_text(rate_bps: float) -> str:
+    """A rate in the unit that suits its size."""
+    prefix, unit_bps = next((u for u in (("G", 1e9), ("M", 1e6), ("k", 1e3)) if rate_bps >= u[1]), ("", 1.0))
+    return f"{rate_bps / unit_bps:.3g} {prefix}bit/s"
 
 
 def _received_bits(trace: Trace, edges_s: NDArray[np.float64], snap_s: float) -> tuple[NDArray[np.float64], ...]:

@@ -24,23 +24,13 @@ def test_own_frames_on_a_measured_link(tmp_path: Path) -> None:
     write_drive(tmp_path / "mine.npz")
     (tmp_path / "link.txt").write_text("".join(f"{t} {0.05 + 0.01 * (t % 3)}\n" for t in range(60)))
     done = ovibjax(
-        *(
-            "replay",
-            "--policy",
-            "voi",
-            "uncertainty",
-            "--data",
-            "mine.npz",
-            "--trace",
-            "link.txt",
-            "--seed",
-            "3",
-            "--plot",
-        ),
+        *("replay", "--policy", "voi", "uncertainty", "--data", "mine.npz", "--seed", "3", "--plot"),
+        *("--trace", "link.txt", "--trace-unit", "Mbit"),
         cwd=tmp_path,
         cache=tmp_path / "cache",
     )
     assert done.returncode == 0, done.stderr
+    assert "trace: link.txt: two columns (s, Mbit): 60 samples; 59 s, mean 60.2 kbit/s, peak 70 kbit/s" in done.stderr
     rows = [line.split("│")[1:-1] for line in done.stdout.splitlines() if "voi" in line or "uncertainty" in line]
     assert [row[0].strip() for row in rows] == ["voi", "uncertainty"]
     for row in rows:
@@ -54,6 +44,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "back.txt").write_text("0 1\n1 1\n0.5 1\n")
+    (tmp_path / "gap.txt").write_text("0 1\n1 1\n61 1\n62 1\n")
     cases = {
         ("--policy", "vio"): "did you mean voi",
         ("--profile", "0"): "--profile",
@@ -61,6 +52,11 @@ def test_bad_input_is_one_line_and_exit_code_2(
         ("--budget", "nan"): "--budget",
         ("--trace", "back.txt"): "back.txt",
         ("--trace", "absent.txt"): "absent.txt",
+        ("--trace", "gap.txt"): "--max-gap 60 ",
+        ("--trace", "gap.txt", "--max-gap", "0"): "--max-gap 0",
+        ("--trace", "gap.txt", "--max-gap", "99", "--trace-unit", "knots"): "--trace-unit knots",
+        ("--max-gap", "60"): "--max-gap belongs to --trace",
+        ("--trace-column", "mbps"): "--trace-column belongs to --trace",
         ("--data", "absent.npz"): "absent.npz",
         ("--plot", "--out", "absent/x.png"): "absent",
         ("--plot", "--out", "."): "name of a file",

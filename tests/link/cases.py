@@ -2,9 +2,12 @@
 
 import jax
 import numpy as np
+import pytest
 
+from ovibjax.errors import InputError
 from ovibjax.link import channel
 from ovibjax.link.payload import Request
+from ovibjax.link.trace_files import read_trace
 
 KEY = jax.random.key(7)
 K_FACTORS = [0.0, 0.5, 4.0, 50.0]
@@ -18,6 +21,15 @@ def written(path, content):
     """A file of this text or these bytes."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
+
+
+def refused(path, content, **options):
+    """The one line with which a trace of this content is refused."""
+    with pytest.raises(InputError) as caught:
+        read_trace(written(path, content), **options)
+    message = str(caught.value)
+    assert message.isprintable() and len(message) < 450
+    return message
 
 
 def sample(mode="FS", k=3, **changes):

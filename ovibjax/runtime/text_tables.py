@@ -1,0 +1,173 @@
+"""Text tables that nobody vouches for: UTF-8 text, its lines with their numbers, cells however separated, numbers."""
+
+import codecs
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from ovibjax.errors import refusal
+
+MISSING = frozenset({"", "-", "--", "na", "n/a", "nan", "null", "none", "#n/a"})
+"""What stands in a cell without a value, in lower case."""
+
+_WITH_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+_WITH_POINT = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+
+
+def read_text(path: Path, max_bytes: int, what: str) -> str:
+    """The content of a text file: UTF-8, its byte-order mark dropped, no NUL, of bounded size.
+
+    Args:
+        path: the file.
+        max_bytes: longest accepted.
+        what: what the file should be, for messages, such as `trace`.
+
+    Returns:
+        The text, with line breaks as they are in the file.
+
+    Raises:
+        InputError: no such file, unreadable, too large, binary or not UTF-8.
+    """
+    try:
+        if not path.exists():
+            raise refusal(path, "no such file")
+        if not path.is_file():
+            raise refusal(path, f"not a regular file; name one {what}")
+        if (size := path.stat().st_size) > max_bytes:
+            raise refusal(path, f"too large: {size} bytes, over {max_bytes}; this is no {what}")
+        with path.open("rb") as file:
+            data = file.read(max_bytes).removeprefix(codecs.BOM_UTF8)
+    except OSError as error:
+        raise refusal(path, f"cannot be read ({error.strerror or type(error).__name__})") from error
+    if (nul := data.find(b"\0")) >= 0:
+        raise refusal(path, "a binary file or UTF-16 text; save it as UTF-8 text", _line_of(data, nul))
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise refusal(path, "not UTF-8 text; save it as UTF-8", _line_of(data, error.start)) from error
+
+
+def _line_of(data: bytes, offset: int) -> int:
+    """Number of the line that holds a byte."""
+    before = data[:offset]
+    return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
+
+
+class ContentLines:
+    """Lines with something in them, one by one; `number` is that of the line given last.
+
+    Args:
+        text: of the file, with line breaks of any kind.
+        inline_comments: whether `#` ends a line wherever it stands, instead of at the start of a line only.
+    """
+
+    def __init__(self, text: str, inline_comments: bool = False) -> None:
+        self._text, self._inline, self.number = text, inline_comments, 0
+
+    def __iter__(self) -> Iterator[str]:
+        # Not splitlines(), which knows nine more breaks, nor a list: a trace may have millions of lines.
+        for number, found in enumerate(re.finditer(r"[^\r\n]*(?:\r\n|\r|\n|$)", self._text), start=1):
+            line = found[0].rstrip("\r\n")
+            content = line.partition("#")[0] if self._inline else line if not line.lstrip().startswith("#") else ""
+            if content.strip():
+                self.number = number
+                yield content
+
+
+def separator_of(line: str) -> str:
+    """What separates the cells of a table, from its first line: `;`, a tab, `,`, or else white space (a blank)."""
+    words = line.split()
+    if len(words) > 1 and all(number_of(word) is not None or _WITH_COMMA.fullmatch(word) for word in words):
+        return " "  # numbers between white space, decimal commas among them
+    return next((mark for mark in ";\t," if mark in line.strip()), " ")
+
+
+def cells_of(path: Path, lines: ContentLines, separator: str, first: str | None = None) -> Iterator[list[str]]:
+    """Rows of cells, stripped; a quoted cell may hold the separator.
+
+    Args:
+        path: what to call the file.
+        lines: what is left of the file; its `number` is that of the row given last.
+        separator: as `separator_of` finds it.
+        first: a line read already, to begin with.
+
+    Returns:
+        The rows.
+
+    Raises:
+        InputError: a quote is never closed, or the like.
+    """
+    source = iter(lines) if first is None else _with_first(first, lines)
+    if separator == " ":
+        yield from (line.split() for line in source)
+        return
+    try:
+        for cells in csv.reader((line + "\n" for line in source), delimiter=separator, skipinitialspace=True):
+            if any("\n" in cell.rstrip() for cell in cells):
+                raise refusal(path, "a quote is never closed, or a cell has several lines", lines.number)
+            yield [cell.strip() for cell in cells]
+    except csv.Error as error:
+        raise refusal(path, f"not a table of cells ({error})", lines.number) from error
+
+
+def _with_first(first: str, lines: ContentLines) -> Iterator[str]:
+    yield first
+    yield from lines
+
+
+def is_missing(cell: str) -> bool:
+    """Whether a cell says that there is no value: empty, `-`, `NA`, `NaN` and their like."""
+    return cell.lower() in MISSING
+
+
+def with_points(path: Path, rows: Iterator[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
+    """Rows of a table that commas do not separate, decimal commas made points: `1,5` as `1.5`.
+
+    Args:
+        path: what to call the file.
+        rows: numbered lines with their cells.
+
+    Returns:
+        The rows; they must be read to their end, where a doubt may be left.
+
+    Raises:
+        InputError: points stand in other numbers, or every comma could be one of thousands.
+    """
+    comma, point, doubt = (0, ""), (0, ""), True
+    for line, cells in rows:
+        for at, cell in enumerate(cells):
+            if _WITH_POINT.fullmatch(cell):
+                point = point if point[0] else (line, cell)
+            elif _WITH_COMMA.fullmatch(cell):
+                comma = comma if comma[0] else (line, cell)
+                doubt = doubt and _THOUSANDS.fullmatch(cell) is not None
+                cells[at] = cell.replace(",", ".")
+        if comma[0] and point[0]:
+            reason = (
+                f"{quoted(comma[1])} here and {quoted(point[1])} in line {point[0]}: use one decimal mark, no other"
+            )
+            raise refusal(path, reason, comma[0])
+        yield line, cells
+    if comma[0] and doubt:
+        reason = f"{quoted(comma[1])} may be thousands or have three decimals, as all such numbers here; write points"
+        raise refusal(path, reason, comma[0])
+
+
+def number_of(cell: str) -> float | None:
+    """A cell as a number, which may be infinite; None if it is none.
+
+    Only plain notation counts, not `1_000` or digits of other scripts, which Python would read and no tool writes.
+    """
+    if not cell.isascii() or "_" in cell:
+        return None
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def quoted(cell: str) -> str:
+    """A cell as it may stand in a message."""
+    return repr(cell if len(cell) <= 40 else cell[:37] + "...")
