@@ -1,6 +1,7 @@
 """The one exception that means: the input is at fault, and here is what to do about it; and how its line is worded."""
 
 import os
+import warnings
 
 StrPath = str | os.PathLike[str]
 """A path, as text or as an object."""
@@ -11,6 +12,18 @@ class InputError(ValueError):
 
     The command line prints the message as one line and exits with code 2; as a library exception it is a `ValueError`.
     """
+
+
+class Doubt(UserWarning):
+    """Input that is taken, but may not mean what it says; the message names the doubt and what settles it.
+
+    The command line prints it as one line; in Python it is a warning like any other.
+    """
+
+
+def doubt(source: StrPath, reason: str) -> None:
+    """Warn of input that may not mean what it says, on one line: `source: reason`."""
+    warnings.warn(str(refusal(source, reason)), Doubt, stacklevel=2)
 
 
 def refusal(source: StrPath, reason: str, line: int | None = None) -> InputError:

@@ -162,7 +162,7 @@ def _draw_town(path: Path, data: FeatureSet) -> None:
     """The drive over the town's ground plan, and the five views half-way through its longest open stretch."""
     town = make_town(TownConfig())
     frame = _middle_of_longest(data.context)
-    ((_, views),) = render_frames(town, Route(data.positions_m, data.yaw_rad), np.array([frame]))
+    ((_, views),) = render_frames(town, Route(data.positions_m.astype(np.float32), data.yaw_rad), np.array([frame]))
     with mpl.rc_context(fig.style()):
         figure = Figure(figsize=(fig.PAGE_IN, 5.2), layout="constrained")
         FigureCanvasAgg(figure)

@@ -22,6 +22,7 @@ from ovibjax.encoder.training_data import MemberData
 from ovibjax.features.basis import ViewBasis, project
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.images.codecs import CODECS, LADDERS
+from ovibjax.features.places import from_origin, origin_of
 from ovibjax.features.splits import split_indices
 from ovibjax.report.claims import interval
 from ovibjax.runtime.progress import progress_bar
@@ -135,11 +136,12 @@ def judge_codecs(
     coded = code(frames)
     of_ovib = int(np.flatnonzero(prefixes_of("ovib") == RIVAL_K)[0])
     sizes, errors, plain, native, whole, ovib = [], [], [], [], [], []
+    places_m = from_origin(feature_set.positions_m, origin_of(feature_set.positions_m))  # as `member_data` has them
     for seed, outcome in outcomes.items():
         mine = tests[seed][rows[seed]]
         at = np.searchsorted(frames, mine)
         features = np.concatenate([coded.plain[at, None], coded.coded[at]], axis=1).swapaxes(0, 1)
-        error_m = _judge(prepared[seed], outcome["ovib"], features, feature_set.positions_m[mine])
+        error_m = _judge(prepared[seed], outcome["ovib"], features, places_m[mine])
         plain.append(error_m[0].mean())
         errors.append(error_m[1:])
         sizes.append(coded.payload_bytes[at].mean(axis=0))

@@ -20,6 +20,7 @@ from ovibjax.encoder.model import decode, encode
 from ovibjax.encoder.recipe import PAPER_PREFIXES
 from ovibjax.features.basis import project
 from ovibjax.features.frames import FeatureSet
+from ovibjax.features.places import from_origin, origin_of
 from ovibjax.world.town.feature_set import town_features
 from ovibjax.world.town.layout import TownConfig
 
@@ -141,7 +142,7 @@ def make_benchmark(features: FeatureSet, ks: Sequence[int], rank: int | None, st
     return Benchmark(
         descriptor=flat,
         coded={k: flat if k == RAW else np.asarray(code(jnp.asarray(flat), jnp.int32(k))) for k in ks},
-        position_m=features.positions_m[:, :2].astype(np.float32),
+        position_m=from_origin(features.positions_m, origin_of(features.positions_m))[:, :2],
         scene=scene,
         pool=pool,
         views=[blocks[scene == s] for s in range(scene.max() + 1)],

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ovibjax.errors import InputError
+from ovibjax.runtime.plain_numbers import plain_float, plain_int
 
 if TYPE_CHECKING:
     from ovibjax.features.frames import FeatureSet
@@ -31,9 +32,9 @@ def numbers(name: str, items: Sequence[str], valid: Callable[[float], bool], rul
     values = []
     for item in items:
         try:
-            value = float(item)
+            value = plain_float(item)
         except ValueError:
-            raise InputError(f"--{name} {item}: not a number; values are {rule}") from None
+            raise InputError(f"--{name} {item}: not a number; values are {rule}{_spaces(name, item)}") from None
         if not valid(value) or value in (float("inf"), float("-inf")):
             raise InputError(f"--{name} {item}: values are {rule}")
         values.append(value)
@@ -61,9 +62,10 @@ def integers(name: str, items: Sequence[str], low: int, high: int) -> list[int]:
     for item in items:
         first, colon, last = item.partition(":")
         try:
-            found = range(int(first), int(last)) if colon else [int(item)]
+            found = range(plain_int(first), plain_int(last)) if colon else [plain_int(item)]
         except ValueError:
-            raise InputError(f"--{name} {item}: not a whole number or a range such as 0:5") from None
+            hint = _spaces(name, item)
+            raise InputError(f"--{name} {item}: not a whole number or a range such as 0:5{hint}") from None
         if not found:
             raise InputError(f"--{name} {item}: the range is empty")
         if min(found) < low or max(found) > high:
@@ -72,6 +74,12 @@ def integers(name: str, items: Sequence[str], low: int, high: int) -> list[int]:
     if not values:
         raise InputError(f"--{name} has no value")
     return values
+
+
+def _spaces(name: str, item: str) -> str:
+    """How several values are written, where it was a comma that did not read."""
+    parts = [part.strip() for part in item.split(",")]
+    return f"; write several with spaces: --{name} {' '.join(parts)}" if len(parts) > 1 and all(parts) else ""
 
 
 def require_positive(command: object, *names: str) -> None:

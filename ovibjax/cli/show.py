@@ -12,6 +12,7 @@ import tyro
 
 from ovibjax.cli.options import require_positive
 from ovibjax.errors import InputError
+from ovibjax.runtime.plain_numbers import plain_float
 from ovibjax.runtime.progress import console
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ class Show:
 def _seconds(given: tuple[str, ...]) -> float:
     """Seconds between two looks."""
     try:
-        every_s = [float(text) for text in given] or [_EVERY_S]
+        every_s = [plain_float(text) for text in given] or [_EVERY_S]
     except ValueError:
         every_s = []
     if len(every_s) != 1 or not (isfinite(every_s[0]) and every_s[0] > 0):

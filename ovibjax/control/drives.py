@@ -14,6 +14,7 @@ import numpy as np
 from ovibjax.control.environment import PAPER_SLOTS
 from ovibjax.encoder.checkpoint import TRAIN_FRAMES
 from ovibjax.features.frames import CONTEXTS, FeatureSet
+from ovibjax.features.places import from_origin, origin_of
 from ovibjax.world.town.feature_set import town_features
 from ovibjax.world.town.layout import TownConfig
 
@@ -34,7 +35,7 @@ class JoinedDrives:
 
     Attributes:
         features: [N, M, d] unit-norm view features.
-        positions_m: [N, 3] where they were taken.
+        positions_m: [N, 3] float32, where they were taken, from the origin of all drives (`features.places`).
         yaw_rad: [N] headings.
         context: [N] route context, index into `contexts`.
         contexts: names of the contexts; `unknown` is among them where some frame's is.
@@ -81,12 +82,13 @@ def join_drives(sets: list[FeatureSet], training: int) -> JoinedDrives:
     Returns:
         The frames.
     """
+    places = [s.positions_m for s in sets]
     context, contexts = np.concatenate([s.context for s in sets]), CONTEXTS
     if (context < 0).any():
         context, contexts = np.where(context < 0, len(CONTEXTS), context), (*CONTEXTS, "unknown")
     return JoinedDrives(
         features=np.concatenate([s.features for s in sets]),
-        positions_m=np.concatenate([s.positions_m for s in sets]),
+        positions_m=from_origin(np.concatenate(places), origin_of(*places)),
         yaw_rad=np.concatenate([s.yaw_rad for s in sets]),
         context=context,
         contexts=contexts,

@@ -14,6 +14,7 @@ from ovibjax.edge.view_fusion import spatial_folds
 from ovibjax.encoder.training_data import Standardizer, mean_and_scale
 from ovibjax.features.basis import fit_basis, project
 from ovibjax.features.frames import FeatureSet
+from ovibjax.features.places import from_origin, origin_of
 
 
 class References(NamedTuple):
@@ -22,11 +23,12 @@ class References(NamedTuple):
     Attributes:
         features: [R, M, d] unit-norm features.
         x: [R, M, r] the same in the per-view basis of the training rows, unit variance overall.
-        positions_m: [R, 3].
+        positions_m: [R, 3] from the origin.
         folds: [R] int32 spatial fold.
         train: [T] int32 rows that train the encoder.
         val: [V] int32 rows of the first fold.
         standardizer: between standardised and metric positions.
+        origin_m: [3] what positions are counted from, see `features.places`; exact in float32.
     """
 
     features: jax.Array
@@ -36,6 +38,7 @@ class References(NamedTuple):
     train: jax.Array
     val: jax.Array
     standardizer: Standardizer
+    origin_m: jax.Array
 
 
 class Queries(NamedTuple):
@@ -44,7 +47,7 @@ class Queries(NamedTuple):
     Attributes:
         features: [Q, M, d] unit-norm features.
         x: [Q, M, r] the same in the references' basis.
-        positions_m: [Q, 3].
+        positions_m: [Q, 3] from the references' origin.
     """
 
     features: jax.Array
@@ -61,21 +64,24 @@ def scene_data(references: FeatureSet, queries: FeatureSet, rank: int | None) ->
         rank: coordinates kept per view, at most half the training frames; None keeps all d.
 
     Returns:
-        References and queries; nothing in the former depends on the latter.
+        References and queries; nothing in the former depends on the latter but the origin that both are counted from.
     """
-    folds = spatial_folds(references.positions_m)
+    origin_m = origin_of(references.positions_m, queries.positions_m)
+    places_m = from_origin(references.positions_m, origin_m)
+    folds = spatial_folds(places_m)
     train, val = np.flatnonzero(folds != 0), np.flatnonzero(folds == 0)
     kept = None if rank is None else max(2, min(rank, len(train) // 2))
     basis = fit_basis(references.features[train], kept)
-    mean_m, scale_m = mean_and_scale(references.positions_m[train])
+    mean_m, scale_m = mean_and_scale(places_m[train])
     made = References(
         features=jnp.asarray(references.features),
         x=jnp.asarray(project(basis, references.features)),
-        positions_m=jnp.asarray(references.positions_m),
+        positions_m=jnp.asarray(places_m),
         folds=jnp.asarray(folds),
         train=jnp.asarray(train, jnp.int32),
         val=jnp.asarray(val, jnp.int32),
         standardizer=Standardizer(jnp.asarray(mean_m), jnp.asarray(scale_m)),
+        origin_m=jnp.asarray(origin_m, jnp.float32),
     )
-    asked = (queries.features, project(basis, queries.features), queries.positions_m)
+    asked = (queries.features, project(basis, queries.features), from_origin(queries.positions_m, origin_m))
     return made, Queries(*map(jnp.asarray, asked))

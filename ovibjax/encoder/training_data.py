@@ -9,6 +9,7 @@ import numpy as np
 from ovibjax.encoder.train import TrainData
 from ovibjax.features.basis import ViewBasis, fit_basis, project
 from ovibjax.features.frames import FeatureSet
+from ovibjax.features.places import from_origin, origin_of
 from ovibjax.features.splits import split_indices
 
 
@@ -16,7 +17,7 @@ class Standardizer(NamedTuple):
     """Map between metres and the scale in which positions are trained.
 
     Attributes:
-        mean_m: [3] mean training position.
+        mean_m: [3] mean training position, from the origin of the data.
         scale_m: scalar, standard deviation of a horizontal coordinate.
     """
 
@@ -42,12 +43,13 @@ class MemberData(NamedTuple):
 
     Attributes:
         train: training data; its features are also the reference database of retrieval.
-        train_m: [N, 3] training positions, m.
+        train_m: [N, 3] training positions from the origin, m; so are the others.
         val_x: [V, M, r] validation features.
         val_m: [V, 3] validation positions, m.
         test_x: [T, M, r] test features.
         test_m: [T, 3] test positions, m.
         standardizer: map between standardised and metric positions.
+        origin_m: [3] what positions are counted from, see `features.places`; exact in float32.
     """
 
     train: TrainData
@@ -57,6 +59,7 @@ class MemberData(NamedTuple):
     test_x: jax.Array
     test_m: jax.Array
     standardizer: Standardizer
+    origin_m: jax.Array
 
 
 def member_data(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tuple[MemberData, ViewBasis]:
@@ -72,7 +75,9 @@ def member_data(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tu
     """
     split = split_indices(len(feature_set.features), seed)
     basis = fit_basis(feature_set.features[split.train], rank)
-    train_m = feature_set.positions_m[split.train]
+    origin_m = origin_of(feature_set.positions_m)
+    places_m = from_origin(feature_set.positions_m, origin_m)
+    train_m = places_m[split.train]
     mean_m, scale_m = mean_and_scale(train_m)
     coordinates = {name: project(basis, feature_set.features[rows]) for name, rows in split._asdict().items()}
     train = TrainData(
@@ -83,9 +88,10 @@ def member_data(feature_set: FeatureSet, seed: int, rank: int | None = 64) -> tu
         train=train,
         train_m=jnp.asarray(train_m),
         val_x=jnp.asarray(coordinates["val"]),
-        val_m=jnp.asarray(feature_set.positions_m[split.val]),
+        val_m=jnp.asarray(places_m[split.val]),
         test_x=jnp.asarray(coordinates["test"]),
-        test_m=jnp.asarray(feature_set.positions_m[split.test]),
+        test_m=jnp.asarray(places_m[split.test]),
         standardizer=Standardizer(jnp.asarray(mean_m), jnp.asarray(scale_m)),
+        origin_m=jnp.asarray(origin_m, jnp.float32),
     )
     return member, basis

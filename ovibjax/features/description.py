@@ -62,7 +62,7 @@ def describe(feature_set: FeatureSet, split: Split, scene: int | None = None) ->
     nearest = np.concatenate([_nearest_m(feature_set, split, one) for one in members])
     context = feature_set.context[rows]
     codes = [*range(len(CONTEXTS)), -1]
-    spans = [np.ptp(feature_set.positions_m[one].astype(np.float64), axis=0) for one in members]
+    spans = [np.ptp(feature_set.positions_m[one], axis=0) for one in members]
     return Description(
         frames=len(rows),
         parts=(train, val, test),
@@ -77,8 +77,8 @@ def describe(feature_set: FeatureSet, split: Split, scene: int | None = None) ->
     )
 
 
-def _steps_m(positions_m: NDArray[np.float32]) -> NDArray[np.float64]:
-    return np.linalg.norm(np.diff(positions_m.astype(np.float64), axis=0), axis=1)
+def _steps_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
 
 
 def _nearest_m(feature_set: FeatureSet, split: Split, rows: NDArray[np.int64]) -> NDArray[np.float64]:

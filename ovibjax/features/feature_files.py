@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ovibjax.errors import StrPath, refusal, unreadable
+from ovibjax.errors import StrPath, doubt, refusal, unreadable
 from ovibjax.features.frames import FeatureSet, OnFrames, make_feature_set, validate
 from ovibjax.features.npz import read_npz, write_npz
+from ovibjax.features.places import coarse_m
 from ovibjax.views import VIEWS
 
 POSITION_TOLERANCE_M = 1e-3
@@ -68,6 +69,9 @@ def read_view_folder(path: StrPath, on_frame: OnFrames | None = None) -> dict[st
 
     Raises:
         InputError: a view folder is missing, a file is bad, or files disagree on frames, size or position.
+
+    Warns:
+        Doubt: positions in a type that steps by more than a millimetre where they lie.
     """
     root = Path(path)
     try:
@@ -88,9 +92,11 @@ def read_view_folder(path: StrPath, on_frame: OnFrames | None = None) -> dict[st
         raise refusal(root / cameras[0], "no frames: the folder holds no .npz file")
     features: list[NDArray[Any]] = []
     positions_m: list[NDArray[Any]] = []
+    coarsest_m = 0.0
     for name in names:
         with np.errstate(all="ignore"):  # overflow becomes infinity, refused by the feature set's own checks
-            views, place = _read_frame(root, cameras, name)
+            views, place, step_m = _read_frame(root, cameras, name)
+        coarsest_m = max(coarsest_m, step_m)
         if features and views.shape != features[0].shape:
             reason = f"dimension {views.shape[1]}, that of frame {names[0]} has {features[0].shape[1]}"
             raise refusal(root / cameras[0] / f"{name}.npz", f"feature has {reason}")
@@ -98,6 +104,8 @@ def read_view_folder(path: StrPath, on_frame: OnFrames | None = None) -> dict[st
         positions_m.append(place)
         if on_frame is not None:
             on_frame(len(features), len(names))
+    if coarsest_m:
+        doubt(root, f"position has a type that steps by {coarsest_m:.2g} m where it lies; save it as float64")
     return {"features": np.stack(features), "positions_m": np.stack(positions_m), "frame_id": np.array(names)}
 
 
@@ -126,14 +134,16 @@ def _frame_names(folder: Path) -> list[str]:
     return sorted(names, key=lambda name: (int(name) if numbered else 0, name))
 
 
-def _read_frame(root: Path, cameras: tuple[str, ...], name: str) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Features [M, d] and position [3] in metres of one frame."""
+def _read_frame(root: Path, cameras: tuple[str, ...], name: str) -> tuple[NDArray[Any], NDArray[Any], float]:
+    """Features [M, d] and position [3] in metres of one frame, and what its type may have lost of the latter."""
+    step_m = 0.0
     views: list[NDArray[Any]] = []
     places: list[NDArray[Any]] = []
     for camera in cameras:
         file = root / camera / f"{name}.npz"
         arrays = read_npz(file, ("feature", "position"), extra=True)
-        place = _vector(arrays["position"], file, "position").astype(np.float64)
+        stored = _vector(arrays["position"], file, "position")
+        step_m, place = max(step_m, coarse_m(stored)), stored.astype(np.float64)
         if place.size not in (2, 3):
             raise refusal(file, f"position has {place.size} coordinates, expected x, y, z or x, y")
         places.append(np.pad(place, (0, 3 - place.size)))
@@ -143,4 +153,4 @@ def _read_frame(root: Path, cameras: tuple[str, ...], name: str) -> tuple[NDArra
         if views[-1].size != views[0].size:
             reason = f"dimension {views[-1].size}, that of {cameras[0]}/{file.name} has {views[0].size}"
             raise refusal(file, f"feature has {reason}")
-    return np.stack(views), places[0]
+    return np.stack(views), places[0], step_m

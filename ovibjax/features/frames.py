@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ovibjax.errors import refusal
+from ovibjax.errors import doubt, refusal
+from ovibjax.features.places import MAX_MAGNITUDE_M, coarse_m
 from ovibjax.views import VIEWS, modes_for
 
 CONTEXTS: tuple[str, ...] = ("corridor", "intersection", "repetitive")
@@ -29,7 +30,7 @@ class FeatureSet(NamedTuple):
     """
 
     features: NDArray[np.float32]  # [N, M, d], unit norm per view, in the order of views.VIEWS
-    positions_m: NDArray[np.float32]  # [N, 3]
+    positions_m: NDArray[np.float64]  # [N, 3], as the data have them; `places` makes them fit for float32
     yaw_rad: NDArray[np.float32]  # [N]
     context: NDArray[np.int32]  # [N], index into CONTEXTS, -1 where unknown
     scene_id: NDArray[np.int32]  # [N], at least 0
@@ -89,6 +90,9 @@ def validate(feature_set: FeatureSet, source: str = "array") -> FeatureSet:
     Raises:
         InputError: a wrong dtype or shape, no frames, not 4 or 5 views, values that are not finite, a zero
             feature, a label out of range, or a frame name that is not printable text.
+
+    Warns:
+        Doubt: positions in a type that steps by more than a millimetre where they lie.
     """
     features = _field(source, "features", feature_set.features, "iuf", ("N", "M", "d"))
     n, n_views, dim = features.shape
@@ -106,13 +110,18 @@ def validate(feature_set: FeatureSet, source: str = "array") -> FeatureSet:
             raise refusal(source, f"frame_id of frame {row} is empty, too long or not printable text")
     # Values beyond float32 become infinite in the cast and are refused as such.
     with np.errstate(all="ignore"):
-        positions_m = _field(source, "positions_m", feature_set.positions_m, "iuf", (n, 3)).astype(np.float32)
+        given_m = _field(source, "positions_m", feature_set.positions_m, "iuf", (n, 3))
+        positions_m = given_m.astype(np.float64)
         yaw_rad = _field(source, "yaw_rad", feature_set.yaw_rad, "iuf", (n,)).astype(np.float32)
         unit = _unit_norm(source, features, frame_id)
     context = _field(source, "context", feature_set.context, "iu", (n,))
     scene_id = _field(source, "scene_id", feature_set.scene_id, "iu", (n,))
     checks = (
         (~np.isfinite(positions_m).all(axis=1), "positions_m is not finite (NaN or infinity)"),
+        (
+            (np.abs(positions_m) > MAX_MAGNITUDE_M).any(axis=1),
+            f"positions_m is beyond {MAX_MAGNITUDE_M:g} m",
+        ),
         (~np.isfinite(yaw_rad), "yaw_rad is not finite (NaN or infinity)"),
         ((context < -1) | (context >= len(CONTEXTS)), f"context is out of range -1 to {len(CONTEXTS) - 1}"),
         ((scene_id < 0) | (scene_id > np.iinfo(np.int32).max), "scene_id is out of range 0 to 2**31 - 1"),
@@ -120,6 +129,9 @@ def validate(feature_set: FeatureSet, source: str = "array") -> FeatureSet:
     for bad, reason in checks:
         if bad.any():
             raise refusal(source, f"frame {frame_id[np.argmax(bad)]!s}: {reason}")
+    if step_m := coarse_m(given_m):
+        far_m, kind = np.abs(positions_m).max(), given_m.dtype
+        doubt(source, f"positions_m is {kind}, which steps by {step_m:.2g} m at {far_m:.0f} m; save it as float64")
     return FeatureSet(unit, positions_m, yaw_rad, context.astype(np.int32), scene_id.astype(np.int32), frame_id)
 
 

@@ -14,6 +14,7 @@ from ovibjax.report.claims import Interval
 from ovibjax.report.labels import axes_of, find, grid_dims, metrics, text_of
 from ovibjax.report.means import Over, average, notes_on, prepare, repetitions, spans
 from ovibjax.report.selection import taken_apart
+from ovibjax.runtime.plain_numbers import plain_float
 
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "<=": operator.le,
@@ -172,7 +173,7 @@ def _bound(entry: str, known: Sequence[str]) -> tuple[str, Callable[[Any, Any], 
         raise InputError(f"--subject-to {entry}: write METRIC<=NUMBER, in quotes, e.g. 'kb<=2.1'")
     name, sign, text = parts
     try:
-        number = float(text)
+        number = plain_float(text)
     except ValueError:
         raise InputError(f"--subject-to {entry}: {text!r} is not a number") from None
     return find(name, list(known), "metric"), _COMPARISONS[sign], number

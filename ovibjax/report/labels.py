@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from ovibjax.errors import InputError
+from ovibjax.runtime.plain_numbers import plain_float
 
 
 def metrics(dataset: xr.Dataset) -> list[str]:
@@ -102,7 +103,7 @@ def matches(values: np.ndarray, text: str) -> np.ndarray:
     if values.dtype.kind not in "fiu":
         return shown
     try:
-        return shown | same_number(values, float(text))
+        return shown | same_number(values, plain_float(text))
     except ValueError:
         return np.zeros(len(values), bool)
 

@@ -8,6 +8,7 @@ import xarray as xr
 
 from ovibjax.errors import InputError
 from ovibjax.report.labels import axes_of, find, listing, matches, same_number
+from ovibjax.runtime.plain_numbers import plain_float
 
 _ORDER: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
     # A value that is the number to float32 accuracy is the number: 0.1 is kept by beta<=0.1, however it was stored.
@@ -78,7 +79,7 @@ def _ordered(entry: str, values: np.ndarray, sign: str, wanted: str) -> np.ndarr
     if values.dtype.kind not in "fiu":
         raise InputError(f"--where {entry}: its values are names ({listing(values)}); compare them with = or !=")
     try:
-        number = float(wanted)
+        number = plain_float(wanted)
     except ValueError:
         raise InputError(f"--where {entry}: {wanted!r} is not a number; it has {listing(values)}") from None
     return _ORDER[sign](values.astype(np.float64), number)

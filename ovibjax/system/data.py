@@ -52,7 +52,7 @@ class SystemData(NamedTuple):
     Attributes:
         seen_x: [L, M, r] features of the frames that are trained on, without positions.
         x: [F, M, r] features of every frame.
-        positions_m: [F, 2] where they were taken.
+        positions_m: [F, 2] where they were taken, from the origin of all drives.
         yaw_rad: [F] headings.
         context: [F] int32 contexts.
         known: [F] bool, frames of training routes, on which g_psi is fitted.

@@ -15,7 +15,7 @@ from tests.features.cases import assert_refused, assert_same, example, raw_featu
 
 def test_defaults_and_dtypes():
     fs = make_feature_set(raw_features(3).astype(np.float64), np.zeros((3, 3)))
-    assert [a.dtype.name for a in fs] == ["float32", "float32", "float32", "int32", "int32", "str192"]
+    assert [a.dtype.name for a in fs] == ["float32", "float64", "float32", "int32", "int32", "str192"]
     assert fs.frame_id.tolist() == ["000000", "000001", "000002"]
     assert not fs.yaw_rad.any() and not fs.scene_id.any() and (fs.context == -1).all()
     assert CONTEXTS == ("corridor", "intersection", "repetitive")
@@ -73,7 +73,7 @@ BAD_FIELDS = {
     "positions short": ({"positions_m": np.ones((5, 3))}, ["positions_m", "[5, 3]", "[6, 3]"]),
     "positions flat": ({"positions_m": np.ones((6, 2))}, ["positions_m", "[6, 2]"]),
     "nan position": ({"positions_m": np.full((6, 3), np.nan)}, ["000000", "positions_m", "not finite"]),
-    "huge position": ({"positions_m": np.full((6, 3), 1e300)}, ["positions_m", "not finite"]),
+    "huge position": ({"positions_m": np.full((6, 3), 1e300)}, ["positions_m", "beyond 1e+09 m"]),
     "yaw column": ({"yaw_rad": np.ones((6, 1))}, ["yaw_rad", "shape"]),
     "inf yaw": ({"yaw_rad": np.array([0, 0, 0, -np.inf, 0, 0])}, ["000003", "yaw_rad", "not finite"]),
     "context high": ({"context": [0, 1, 2, 3, 0, 0]}, ["000003", "context", "range"]),

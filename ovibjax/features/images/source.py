@@ -12,7 +12,7 @@ MAX_IMAGE_BYTES = 256 * 2**20
 MAX_TEXT_BYTES = 2**20
 """Largest metadata or calibration file read."""
 MAX_MAGNITUDE = 1e9
-"""Largest coordinate or angle taken for one; float32 ends at 3e38."""
+"""Largest coordinate or angle taken for one."""
 
 OnStep = Callable[[str, int, int], None]
 """Called with what is being done, steps done and steps in all."""

@@ -12,6 +12,7 @@ from ovibjax.errors import InputError, refusal
 from ovibjax.features.frames import CONTEXTS, MAX_ID_CHARS
 from ovibjax.features.images.folder import FolderFiles
 from ovibjax.features.images.source import MAX_MAGNITUDE, Frame, Skipped, Source, nothing_left
+from ovibjax.runtime.plain_numbers import plain_float
 from ovibjax.views import VIEWS
 
 REQUIRED = ("frame", "x_m", "y_m", "z_m", "yaw_deg")
@@ -164,7 +165,7 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
 def _number(path: Path, line: int, column: str, text: str) -> float:
     """A number; NaN where the cell is empty."""
     try:
-        return float(text or "nan")
+        return plain_float(text or "nan")
     except ValueError:
         raise refusal(path, f"line {line}: {column} is {text[:40]!r}, not a number") from None
 
