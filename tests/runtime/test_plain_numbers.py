@@ -58,5 +58,5 @@ def test_commas_between_values_are_told_of_spaces(typed, hint):
         numbers("beta", (typed,), lambda value: True, "any")
     with pytest.raises(InputError, match="write several with spaces: --seed 0:2 5"):
         integers("seed", ("0:2,5",), 0, 9)
-    with pytest.raises(InputError, match="not a number; values are any$"):
+    with pytest.raises(InputError, match=r"not a number; values are any$"):
         numbers("beta", ("1_000",), lambda value: True, "any")
