@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ovibjax.errors import refusal
+from ovibjax.runtime.plain_numbers import plain_float
 
 MISSING = frozenset({"", "-", "--", "na", "n/a", "nan", "null", "none", "#n/a"})
 """What stands in a cell without a value, in lower case."""
@@ -156,14 +157,9 @@ def with_points(path: Path, rows: Iterator[tuple[int, list[str]]]) -> Iterator[t
 
 
 def number_of(cell: str) -> float | None:
-    """A cell as a number, which may be infinite; None if it is none.
-
-    Only plain notation counts, not `1_000` or digits of other scripts, which Python would read and no tool writes.
-    """
-    if not cell.isascii() or "_" in cell:
-        return None
+    """A cell as a number in plain notation, which may be infinite; None if it is none."""
     try:
-        return float(cell)
+        return plain_float(cell)
     except ValueError:
         return None
 
