@@ -94,11 +94,25 @@ def normalise(
     return np.ascontiguousarray(scaled.transpose(2, 0, 1) if layout == "nchw" else scaled, np.float32)
 
 
-def fingerprint(*parts: bytes | str) -> str:
-    """Hash of weights and settings, in the order given; 32 hexadecimal digits."""
+def fingerprint(*parts: bytes | str | Path) -> str:
+    """Hash of weights and settings, in the order given; 32 hexadecimal digits.
+
+    Args:
+        parts: bytes, text, or files whose content counts, and whose names do not.
+
+    Returns:
+        The hash.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
     digest = hashlib.sha256()
     for part in parts:
-        content = part.encode() if isinstance(part, str) else part
+        if isinstance(part, Path):
+            with part.open("rb") as file:
+                content = hashlib.file_digest(file, "sha256").digest()
+        else:
+            content = part.encode() if isinstance(part, str) else part
         digest.update(len(content).to_bytes(8, "little"))
         digest.update(content)
     return digest.hexdigest()[:32]

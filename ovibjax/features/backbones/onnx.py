@@ -26,6 +26,7 @@ from ovibjax.features.backbones.image_encoder import (
     normalise,
     resize_and_crop,
 )
+from ovibjax.features.backbones.onnx_files import model_files
 from ovibjax.runtime.batches import padded_batches
 
 SIDE_KEYS = ("size", "layout", "mean", "std", "output")
@@ -97,16 +98,10 @@ def open_onnx(file: str, options: BackboneOptions) -> Backbone:
         return normalise(resize_and_crop(rgb, entry.size_px), entry.mean, entry.std, entry.layout)
 
     try:
-        weights = [part.read_bytes() for part in _files(path)]
+        mark = fingerprint("onnx", onnxruntime.__version__, repr((entry, output)), *model_files(path))
     except OSError as error:
         raise refusal(path, f"cannot be read ({error.strerror})") from error
-    return Backbone(f"onnx:{file}", fingerprint("onnx", repr((entry, output)), *weights), preprocess, embed)
-
-
-def _files(path: Path) -> list[Path]:
-    """The model and, where its weights are too large for one file, the usual names of the other."""
-    beside = [path.with_name(path.name + ending) for ending in (".data", "_data")] + [path.with_suffix(".data")]
-    return [path, *(part for part in dict.fromkeys(beside) if part.is_file())]
+    return Backbone(f"onnx:{file}", mark, preprocess, embed)
 
 
 def _choices(path: Path, options: BackboneOptions) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from PIL import Image
 
 import ovibjax
 from ovibjax.errors import InputError, StrPath, refusal
+from ovibjax.features import backbones
 from ovibjax.features.backbones.by_name import Backbone
 from ovibjax.features.feature_files import save
 from ovibjax.features.frames import FeatureSet, OnFrames, make_feature_set
@@ -25,7 +26,11 @@ from ovibjax.runtime.threads import in_order
 BATCH_FRAMES = 16
 """Frames per call of the backbone, 80 images for a UAV."""
 _BATCHES_AHEAD = 2  # decoded images waiting; CLIP's inputs take 50 MB a batch
-_SOURCES = ("features.images.decoding", "features.images.extraction")
+_BACKBONES = sorted(path.stem for path in Path(backbones.__file__).parent.glob("*.py"))
+_SOURCES = (
+    *("features.images.decoding", "features.images.extraction"),
+    *(f"features.backbones.{name}" for name in _BACKBONES),
+)
 
 
 @dataclass(frozen=True)

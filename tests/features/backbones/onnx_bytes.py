@@ -35,10 +35,21 @@ def _tensor(name: str, array: np.ndarray) -> bytes:
     return dims + _field(2, FLOAT) + _field(8, name) + _field(9, array.astype("<f4").tobytes())
 
 
+def external(name: str, shape: tuple[int, ...], location: str, offset: int = 0) -> bytes:
+    """A tensor whose numbers lie in another file."""
+    pairs = {"location": location, "offset": str(offset), "length": str(4 * int(np.prod(shape)))}
+    entries = b"".join(_field(13, _field(1, key) + _field(2, value)) for key, value in pairs.items())
+    return b"".join(_field(1, n) for n in shape) + _field(2, FLOAT) + _field(8, name) + entries + _field(14, 1)
+
+
 def model(nodes, weights, inputs, outputs) -> bytes:
-    """A model from (op, inputs, output) nodes, named weights, and (name, shape[, kind]) inputs and outputs."""
+    """A model from (op, inputs, output) nodes, named weights, and (name, shape[, kind]) inputs and outputs.
+
+    Weights are arrays, or tensors of `external`.
+    """
     graph = b"".join(_field(1, _node(*node)) for node in nodes) + _field(2, "g")
-    graph += b"".join(_field(5, _tensor(name, array)) for name, array in weights.items())
+    tensors = [part if isinstance(part, bytes) else _tensor(name, part) for name, part in weights.items()]
+    graph += b"".join(_field(5, tensor) for tensor in tensors)
     graph += b"".join(_field(11, _value(*entry)) for entry in inputs)
     graph += b"".join(_field(12, _value(*entry)) for entry in outputs)
     return _field(1, 8) + _field(7, graph) + _field(8, _field(2, 13))
@@ -53,6 +64,14 @@ def pooled_product(weight: np.ndarray, shape: tuple[int | str, ...] = ("n", 3, "
     ]
     outputs = [("map", (shape[0], 3, 1, 1)), ("pooled", (shape[0], 3)), ("feature", (shape[0], weight.shape[1]))]
     return model(nodes, {"weight": weight}, [("image", shape)], outputs)
+
+
+def external_product(shape: tuple[int, int], location: str) -> bytes:
+    """Channel means times a matrix that lies in another file."""
+    nodes = [("GlobalAveragePool", ("image",), "map"), ("Flatten", ("map",), "pooled")]
+    nodes += [("MatMul", ("pooled", "weight"), "feature")]
+    weights = {"weight": external("weight", shape, location)}
+    return model(nodes, weights, [("image", ("n", 3, "h", "w"))], [("feature", ("n", shape[1]))])
 
 
 def flat_product(weight: np.ndarray, shape: tuple[int | str, ...]) -> bytes:
