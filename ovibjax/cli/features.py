@@ -27,12 +27,15 @@ class Features:
 
     - an archive: the same as .tar or .tar.gz, read in place and never unpacked;
 
-    - a table: .csv with columns frame,x_m,y_m,z_m,yaw_deg, optionally scene and context, together with --images.
+    - a table: .csv, .tsv or .txt with columns frame,x_m,y_m,z_m,yaw_deg (or yaw_rad, or qw,qx,qy,qz), optionally
+    scene and context, together with --images;
+
+    - poses as TUM, KITTI, EuRoC, AirSim or COLMAP keep them, together with --images.
 
     Cameras are Front Back Left Right and, for a UAV, Down. Images may be of any size.
 
-    Positions and yaw stay in the axes of the data: yaw is measured from x towards y, so that (cos yaw, sin yaw) is the
-    heading in CARLA's left-handed axes as well as in right-handed ones.
+    Positions and yaw stay in the axes of the data unless --axes says which these are: yaw is measured from x towards y,
+    so that (cos yaw, sin yaw) is the heading in CARLA's left-handed axes as well as in right-handed ones.
 
     Finished batches are kept in FILE.npz.partial/: after Ctrl-C, a crash or a kill, the same command goes on there and
     ends with the same bytes.
@@ -41,14 +44,23 @@ class Features:
     """
 
     src: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]
-    """A folder, a .tar or .tar.gz, or a .csv."""
+    """A folder, a .tar or .tar.gz, or a file of poses."""
     out: Path
     """The .npz file to write."""
     backbone: str = "embedded"
     """Image encoder."""
     images: str | None = None
-    """For a table: where images lie, relative to it: {view} or {view:lower}, {frame} or {frame:06d}, and {scene} are
-    filled in."""
+    """For poses: where images lie, relative to their file: {view} or {view:lower}, {frame} or {frame:06d}, {scene}, and
+    {file}, what the table's column of the view says, are filled in."""
+    cameras: tuple[str, ...] = ()
+    """What views are called in the data, where not Front Back Left Right Down: Front=cam0 Back=rear."""
+    poses: str | None = None
+    """Form of a file of poses, where it is not recognised: table, tum, kitti, euroc, airsim or colmap."""
+    columns: tuple[str, ...] = ()
+    """Which columns of a table are meant: frame=id x_m=x y_m=y z_m=z yaw_deg=yaw."""
+    axes: str | None = None
+    """Which way x, y and z of the poses point, for the world and, after a slash, the body: three of f b l r u d, or of
+    e w n s u d. ned; enu/rdf is a camera looking along z; rdf is KITTI; lat-lon-alt are degrees."""
     views: Literal[4, 5] | None = None
     """5 (UAV) or 4 (UGV: without Down); by default 5 where there are images of Down."""
     strict: bool = False
@@ -63,11 +75,15 @@ class Features:
         """Run the command."""
         from ovibjax.features.images.by_path import open_source
         from ovibjax.features.images.extraction import check_out, extract
+        from ovibjax.features.images.pose_table import PoseOptions
         from ovibjax.features.splits import MIN_FRAMES
 
         check_out(self.out)
         with _steps() as on_step:
-            source = open_source(self.src, self.images, self.views, on_step)
+            options = PoseOptions(self.poses, self.columns, self.axes)
+            source = open_source(self.src, self.images, self.views, on_step, options, self.cameras)
+        if source.form:
+            _say(f"poses: {self.src}: {source.form}")
         try:
             with console.status("opening the encoder"):
                 from ovibjax.features.backbones.by_name import open_backbone

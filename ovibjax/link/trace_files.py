@@ -16,7 +16,6 @@ from ovibjax.errors import InputError, refusal
 from ovibjax.link.iperf_json import iperf3
 from ovibjax.link.trace_columns import bps_per_unit, require_unit, seconds_of
 from ovibjax.link.trace_formats import (
-    Rows,
     Samples,
     bare_rates,
     byte_log,
@@ -27,6 +26,7 @@ from ovibjax.link.trace_formats import (
 from ovibjax.link.traces import Trace
 from ovibjax.runtime.text_tables import (
     ContentLines,
+    Rows,
     cells_of,
     is_missing,
     number_of,

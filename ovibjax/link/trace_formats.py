@@ -11,7 +11,7 @@
 """
 
 import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,10 +20,7 @@ import numpy as np
 from ovibjax.errors import refusal
 from ovibjax.link.trace_columns import UNITS_SHOWN, Columns, bps_per_unit, choose_columns, seconds_of
 from ovibjax.link.traces import RATE_LIMIT_BPS, TIME_LIMIT_S
-from ovibjax.runtime.text_tables import is_missing, number_of, quoted
-
-Rows = Iterator[tuple[int, list[str]]]
-"""Numbered lines with their cells."""
+from ovibjax.runtime.text_tables import Rows, is_missing, number_of, quoted
 
 _PACKET_BITS = 1500 * 8
 _LOG_COLUMNS = 6

@@ -3,7 +3,7 @@
 import codecs
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from ovibjax.errors import refusal
@@ -85,14 +85,14 @@ def separator_of(line: str) -> str:
     return next((mark for mark in ";\t," if mark in line.strip()), " ")
 
 
-def cells_of(path: Path, lines: ContentLines, separator: str, first: str | None = None) -> Iterator[list[str]]:
+def cells_of(path: Path, lines: ContentLines, separator: str, strict: bool = False) -> Iterator[list[str]]:
     """Rows of cells, stripped; a quoted cell may hold the separator.
 
     Args:
         path: what to call the file.
-        lines: what is left of the file; its `number` is that of the row given last.
+        lines: those of the file; its `number` is that of the row given last.
         separator: as `separator_of` finds it.
-        first: a line read already, to begin with.
+        strict: refuse text behind a closing quote.
 
     Returns:
         The rows.
@@ -100,12 +100,12 @@ def cells_of(path: Path, lines: ContentLines, separator: str, first: str | None 
     Raises:
         InputError: a quote is never closed, or the like.
     """
-    source = iter(lines) if first is None else _with_first(first, lines)
     if separator == " ":
-        yield from (line.split() for line in source)
+        yield from (line.split() for line in lines)
         return
+    source = (line + "\n" for line in lines)
     try:
-        for cells in csv.reader((line + "\n" for line in source), delimiter=separator, skipinitialspace=True):
+        for cells in csv.reader(source, delimiter=separator, skipinitialspace=True, strict=strict):
             if any("\n" in cell.rstrip() for cell in cells):
                 raise refusal(path, "a quote is never closed, or a cell has several lines", lines.number)
             yield [cell.strip() for cell in cells]
@@ -113,22 +113,22 @@ def cells_of(path: Path, lines: ContentLines, separator: str, first: str | None 
         raise refusal(path, f"not a table of cells ({error})", lines.number) from error
 
 
-def _with_first(first: str, lines: ContentLines) -> Iterator[str]:
-    yield first
-    yield from lines
-
-
 def is_missing(cell: str) -> bool:
     """Whether a cell says that there is no value: empty, `-`, `NA`, `NaN` and their like."""
     return cell.lower() in MISSING
 
 
-def with_points(path: Path, rows: Iterator[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
+Rows = Iterator[tuple[int, list[str]]]
+"""Numbered lines with their cells."""
+
+
+def with_points(path: Path, rows: Rows, columns: Collection[int] | None = None) -> Rows:
     """Rows of a table that commas do not separate, decimal commas made points: `1,5` as `1.5`.
 
     Args:
         path: what to call the file.
         rows: numbered lines with their cells.
+        columns: those of numbers; None for all.
 
     Returns:
         The rows; they must be read to their end, where a doubt may be left.
@@ -139,6 +139,8 @@ def with_points(path: Path, rows: Iterator[tuple[int, list[str]]]) -> Iterator[t
     comma, point, doubt = (0, ""), (0, ""), True
     for line, cells in rows:
         for at, cell in enumerate(cells):
+            if columns is not None and at not in columns:
+                continue
             if _WITH_POINT.fullmatch(cell):
                 point = point if point[0] else (line, cell)
             elif _WITH_COMMA.fullmatch(cell):

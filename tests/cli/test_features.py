@@ -22,6 +22,7 @@ def test_a_table_becomes_a_feature_file(tmp_path: Path) -> None:
     assert done.returncode == 0 and done.stdout == "", done.stderr
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     assert lines == [
+        "poses: my.csv: table with commas, frame, x_m, y_m, z_m, yaw_deg: 4 poses",
         "skipped 1, a view is missing:",
         "3: images/Down/3.png",
         "skipped 1, an image does not decode:",

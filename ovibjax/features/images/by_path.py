@@ -1,24 +1,37 @@
-"""Sources of images by path: a folder or an archive in the released layout, or a CSV table of somebody's own images."""
+"""Sources of images by path: a folder or an archive in the released layout, or poses of somebody's own images."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ovibjax.errors import InputError, StrPath, refusal
 from ovibjax.features.images.archive import TarFiles
+from ovibjax.features.images.image_pattern import cameras_of
+from ovibjax.features.images.pose_table import PoseOptions
 from ovibjax.features.images.released_layout import files_of_towns, read_towns, role_of
 from ovibjax.features.images.source import Files, OnStep, Source
 from ovibjax.features.images.table import read_table
 
+_TABLES = (".csv", ".tsv", ".txt")
+
 
 def open_source(
-    path: StrPath, images: str | None = None, n_views: int | None = None, on_step: OnStep | None = None
+    path: StrPath,
+    images: str | None = None,
+    n_views: int | None = None,
+    on_step: OnStep | None = None,
+    poses: PoseOptions = PoseOptions(),  # noqa: B008 (frozen)
+    cameras: Sequence[str] = (),
 ) -> Source:
     """Find frames, poses and images.
 
     Args:
-        path: a town's folder (or one that holds towns), its `.tar` or `.tar.gz`, or a `.csv` table of poses.
-        images: for a table, where images lie, e.g. `images/{view}/{frame}.jpg`, relative to the table.
+        path: a town's folder (or one that holds towns), its `.tar` or `.tar.gz`, or a `.csv`, `.tsv` or `.txt` of
+            poses.
+        images: for poses, where images lie, e.g. `images/{view}/{frame}.jpg`, relative to their file.
         n_views: 5 (UAV) or 4 (UGV: Front Back Left Right); by default 5 where there are images of Down.
         on_step: progress.
+        poses: form, columns and axes of a file of poses, where it does not say them.
+        cameras: `VIEW=NAME` for views that are called otherwise in the data.
 
     Returns:
         The source, with at least one frame; frames without all views or a finite pose are in `skipped`.
@@ -35,17 +48,19 @@ def open_source(
         raise refusal(path, f"unreadable path ({error})") from error
     if not kind:
         raise refusal(path, "no such file or folder")
-    if kind == "file" and path.suffix.lower() == ".csv":
-        return read_table(path, images, n_views)
-    if images is not None:
-        raise refusal(path, "--images belongs to a .csv table; folders and archives have their own layout")
+    names = cameras_of(cameras)
+    if kind == "file" and path.suffix.lower() in _TABLES:
+        return read_table(path, images, n_views, poses, names)
+    if images is not None or poses != PoseOptions():
+        option = "--images" if images is not None else "--poses, --columns or --axes"
+        raise refusal(path, f"{option} belongs to a table of poses; folders and archives have their own layout")
     files: Files
     if kind == "folder":
         files = files_of_towns(path)
     elif path.name.lower().endswith((".tar", ".tar.gz", ".tgz")):
         files = TarFiles(path, lambda name: role_of(name) is not None, on_step)
     else:
-        raise refusal(path, "is no folder, .tar, .tar.gz or .csv file")
+        raise refusal(path, "is no folder, .tar, .tar.gz or file of poses (.csv, .tsv, .txt)")
     try:
         return read_towns(files, n_views, on_step)
     except BaseException:

@@ -78,12 +78,14 @@ class Source:
         frames: complete frames, in order.
         skipped: frames that lack a view or a pose.
         axes: what the data say of their axes.
+        form: what a file of poses was taken for; "" for a layout of folders.
     """
 
     files: Files
     frames: tuple[Frame, ...]
     skipped: tuple[Skipped, ...]
     axes: str
+    form: str = ""
 
     @property
     def name(self) -> str:
@@ -111,6 +113,7 @@ def describe_skipped(skipped: Iterable[Skipped], shown: int = 3) -> str:
     return ", ".join(parts)
 
 
-def nothing_left(name: str, skipped: Iterable[Skipped]) -> InputError:
-    """The error for a source without one usable frame."""
-    return refusal(name, f"no usable frame; skipped: {describe_skipped(skipped, 1) or 'none, as there is none'}")
+def nothing_left(name: str, skipped: Iterable[Skipped], hint: str = "") -> InputError:
+    """The error for a source without one usable frame, and what may have been meant."""
+    why = describe_skipped(skipped, 1) or "none, as there is none"
+    return refusal(name, f"no usable frame{f' ({hint})' if hint else ''}; skipped: {why}")

@@ -1,178 +1,135 @@
-"""Somebody's own images: a CSV table of poses beside them, and a pattern that says where each image lies."""
+"""Somebody's own images: a table or another file of poses, and a pattern that says where each image lies."""
 
-import csv
-import io
-import math
-import re
-import string
 from collections.abc import Mapping
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ovibjax.errors import InputError, refusal
 from ovibjax.features.frames import CONTEXTS, MAX_ID_CHARS
+from ovibjax.features.images.axes import Axes, axes_of
 from ovibjax.features.images.folder import FolderFiles
+from ovibjax.features.images.image_pattern import EXAMPLE, ImagePattern, hint_at
+from ovibjax.features.images.pose_formats import read_poses
+from ovibjax.features.images.pose_table import PoseOptions, Poses
 from ovibjax.features.images.source import MAX_MAGNITUDE, Frame, Skipped, Source, nothing_left
-from ovibjax.runtime.plain_numbers import plain_float
+from ovibjax.runtime.text_tables import read_text
 from ovibjax.views import VIEWS
 
-REQUIRED = ("frame", "x_m", "y_m", "z_m", "yaw_deg")
-OPTIONAL = ("scene", "context")
 _MAX_TABLE_BYTES = 2**30
-_EXAMPLE = "images/{view}/{frame}.jpg"
 
 
-def read_table(path: Path, images: str | None, n_views: int | None) -> Source:
-    """Frames of a CSV table.
-
-    Columns `frame,x_m,y_m,z_m,yaw_deg`, optionally `scene` and `context` (corridor, intersection or repetitive);
-    others are left alone. Frames keep the order of the table. Yaw is measured from x towards y.
+def read_table(
+    path: Path, images: str | None, n_views: int | None, options: PoseOptions, cameras: Mapping[str, str]
+) -> Source:
+    """Frames of a file of poses, in its order, with the images that a pattern names.
 
     Args:
-        path: the table, UTF-8.
-        images: path of an image relative to the table's folder, with `{view}` (or `{view:lower}`), `{frame}` (or
-            `{frame:06d}`) and, if need be, `{scene}`.
+        path: a table with named columns or one of the forms of `pose_formats`, UTF-8.
+        images: path of an image, see `ImagePattern`; None where the table names the file of every view.
         n_views: 5 or 4; by default 5 where any image of Down exists.
+        options: form, columns and axes.
+        cameras: what each view is called in paths.
 
     Returns:
-        The source.
+        The source; yaw is measured from x towards y, in float64 as positions are.
 
     Raises:
-        InputError: the table or the pattern is bad, a value is no number, a frame is listed twice, or no frame
+        InputError: the file, the pattern or an option is bad, a frame is listed twice, axes are in doubt, or no frame
             is left.
     """
-    if images is None:
-        raise refusal(path, f"say where its images lie, e.g. --images '{_EXAMPLE}'")
-    fields = _check_pattern(images)
-    rows = _rows(path)
-    if "scene" in fields and rows and "scene" not in rows[0][1]:
-        raise InputError(f"--images {images}: {{scene}} needs a column scene in {path.name}")
-    root, sizes = path.parent, dict[str, int]()
-    frames, skipped, seen = list[Frame](), list[Skipped](), dict[str, int]()
-    places: list[tuple[str, ...]] = []
-    for line, row in rows:
-        name = row["frame"]
-        if name in seen:
-            raise refusal(path, f"line {line}: frame {name!r} is listed twice, first in line {seen[name]}")
-        seen[name] = line
-        places.append(tuple(_image(path, line, images, view, row) for view in VIEWS))
-    for image in {image for place in places for image in place}:
-        size = _size(root / image)
-        if size is not None:
-            sizes[image] = size
+    axes = axes_of(options.axes, stated=True) if options.axes is not None else None
+    pattern = ImagePattern(images, cameras) if images is not None else None
+    poses = read_poses(path, read_text(path, _MAX_TABLE_BYTES, "table of poses"), options, cameras["Front"])
+    if not poses.frame:
+        raise refusal(path, "has no poses")
+    _check_frames(path, poses)
+    pattern = pattern or _by_column(path, poses)
+    places = _places(path, pattern, poses)
+    sizes = {image: size for place in places for image in place if (size := _size(path.parent / image)) is not None}
     n_views = n_views or (5 if any(place[4] in sizes for place in places) else 4)
-    for (line, row), place in zip(rows, places, strict=True):
+    axes = axes or axes_of(poses.axes)
+    motion = _motion(path, poses, axes)
+    frames, skipped = list[Frame](), list[Skipped]()
+    for row, (frame, place) in enumerate(zip(poses.frame, places, strict=True)):
         lacking = [image for image in place[:n_views] if image not in sizes]
-        pose = [_number(path, line, key, row[key]) for key in REQUIRED[1:]]
-        context = _context(path, line, row.get("context", ""))
         if lacking:
-            skipped.append(Skipped(row["frame"], "a view is missing", ", ".join(lacking)))
-        elif not all(abs(number) <= MAX_MAGNITUDE for number in pose):
-            bad = next(key for key, number in zip(REQUIRED[1:], pose, strict=True) if not abs(number) <= MAX_MAGNITUDE)
-            skipped.append(Skipped(row["frame"], "no usable pose", f"line {line}: {bad} is empty or not finite"))
+            skipped.append(Skipped(frame, "a view is missing", ", ".join(lacking)))
+        elif row not in motion:
+            skipped.append(Skipped(frame, "no usable pose", f"line {poses.line[row]}: {poses.wrong[row]}"))
         else:
-            chosen = place[:n_views]
-            position = (pose[0], pose[1], pose[2])
+            about, chosen = poses.cells[row], place[:n_views]
+            position, yaw_rad = motion[row]
+            context = _context(path, poses.line[row], about.get("context", ""))
             lengths = tuple(sizes[image] for image in chosen)
-            frames.append(
-                Frame(row["frame"], position, math.radians(pose[3]), row.get("scene", ""), context, chosen, lengths)
-            )
+            frames.append(Frame(frame, position, yaw_rad, about.get("scene", ""), context, chosen, lengths))
     if not frames:
-        raise nothing_left(str(path), skipped)
-    return Source(FolderFiles(root, sizes), tuple(frames), tuple(skipped), "as given, yaw from x towards y")
+        first = next((image for place in places for image in place[:n_views] if image not in sizes), None)
+        raise nothing_left(str(path), skipped, hint_at(path.parent, first) if first is not None else "")
+    form = f"{poses.form}: {len(poses.frame)} pose{'s'[: len(poses.frame) != 1]}"
+    return Source(FolderFiles(path.parent, sizes), tuple(frames), tuple(skipped), axes.describe(), form)
 
 
-def _check_pattern(images: str) -> set[str]:
-    """Fields of a path pattern; refused if it could lead out of the table's folder."""
-    try:
-        parsed = list(string.Formatter().parse(images))
-    except ValueError as error:
-        raise InputError(f"--images {images!r}: {error}; write it like {_EXAMPLE}") from error
-    names = set()
-    for _, name, spec, conversion in parsed:
-        if name is None:
-            continue
-        allowed = {"view": r"(lower)?", "frame": r"(0?\d{1,2}d)?", "scene": r""}.get(name)
-        if allowed is None or conversion or not re.fullmatch(allowed, spec or ""):
-            raise InputError(f"--images {images!r}: only {{view}}, {{frame}} and {{scene}} can stand in it: {_EXAMPLE}")
-        names.add(name)
-    for name in ("view", "frame"):
-        if name not in names:
-            raise InputError(f"--images {images!r}: {{{name}}} is missing; write it like {_EXAMPLE}")
-    if not _stays_inside(images):
-        raise InputError(f"--images {images!r} leads out of the table's folder; name images below it")
-    return names
+def _check_frames(path: Path, poses: Poses) -> None:
+    """Refuse names of frames that are none, or that occur twice."""
+    seen = dict[str, int]()
+    for frame, line in zip(poses.frame, poses.line, strict=True):
+        if not frame or not frame.isprintable() or len(frame) > MAX_ID_CHARS:
+            raise refusal(path, "frame is empty, too long or not printable text", line)
+        if frame in seen:
+            raise refusal(path, f"frame {frame!r} is listed twice, first in line {seen[frame]}", line)
+        seen[frame] = line
 
 
-def _stays_inside(path: str) -> bool:
-    pure = PureWindowsPath(path)  # knows both separators
-    return path.isprintable() and not pure.anchor and ".." not in pure.parts
+def _by_column(path: Path, poses: Poses) -> ImagePattern:
+    """The pattern of a table that names the files."""
+    if not all(view in poses.cells[0] for view in VIEWS[:4]):
+        columns = "or name files in columns Front, Back, Left, Right (--columns Front=NAME ...)"
+        raise refusal(path, f"say where its images lie, e.g. --images '{EXAMPLE}', {columns}")
+    return ImagePattern("{file}", dict(zip(VIEWS, VIEWS, strict=True)))
 
 
-def _image(path: Path, line: int, images: str, view: str, row: Mapping[str, str]) -> str:
-    """The relative path of one image."""
-    parts = []
-    for text, name, spec, _ in string.Formatter().parse(images):
-        value = view if name == "view" else row.get(name or "", "")
-        if spec == "lower":
-            value = value.lower()
-        elif spec:
-            if not (value.isascii() and value.isdigit() and len(value) <= 18):
-                raise refusal(path, f"line {line}: frame {value!r} is no number, as {{frame:{spec}}} needs")
-            value = format(int(value), spec)
-        parts += [text, value]
-    image = "".join(parts)
-    if not _stays_inside(image):
-        raise refusal(path, f"line {line}: image {image!r} leads out of the table's folder")
-    return image
+def _places(path: Path, pattern: ImagePattern, poses: Poses) -> list[tuple[str, ...]]:
+    """The paths of every frame's images, in the order of `VIEWS`."""
+    cells = poses.cells[0]
+    if "scene" in pattern.fields and "scene" not in cells:
+        raise InputError(f"--images {pattern.text}: {{scene}} needs a column scene in {path.name}")
+    if "file" in pattern.fields and not all(view in cells for view in VIEWS[:4]):
+        lacking = next(view for view in VIEWS[:4] if view not in cells)
+        needed = f"needs a column of files for each view in {path.name}: --columns {lacking}=NAME"
+        raise InputError(f"--images {pattern.text}: {{file}} {needed}")
+    rows = zip(poses.line, poses.frame, poses.cells, strict=True)
+    return [tuple(pattern.path_of(path, line, view, frame, about) for view in VIEWS) for line, frame, about in rows]
 
 
-def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """Rows by column, with their line numbers."""
-    try:
-        if path.stat().st_size > _MAX_TABLE_BYTES:
-            raise refusal(path, f"larger than {_MAX_TABLE_BYTES} bytes; this is no table of poses")
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise refusal(path, f"cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise refusal(path, f"is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    rows: list[tuple[int, dict[str, str]]] = []
-    try:
-        columns = [column.strip() for column in next(reader, [])]
-        for column in (*REQUIRED, *OPTIONAL):
-            if columns.count(column) > 1:
-                raise refusal(path, f"column {column!r} occurs twice")
-            if column in REQUIRED and column not in columns:
-                has = ",".join(columns)[:100]
-                raise refusal(path, f"no column {column!r}; needs {','.join(REQUIRED)}, has {has!r}")
-        for cells in reader:
-            if not any(cell.strip() for cell in cells):
-                continue
-            if len(cells) != len(columns):
-                raise refusal(path, f"line {reader.line_num}: {len(cells)} values for {len(columns)} columns")
-            row = {c: cell.strip() for c, cell in zip(columns, cells, strict=True) if c in (*REQUIRED, *OPTIONAL)}
-            if not row["frame"] or not row["frame"].isprintable() or len(row["frame"]) > MAX_ID_CHARS:
-                raise refusal(path, f"line {reader.line_num}: frame is empty, too long or not printable text")
-            rows.append((reader.line_num, row))
-    except csv.Error as error:
-        raise refusal(path, f"line {reader.line_num}: not CSV ({error})") from error
+def _motion(path: Path, poses: Poses, axes: Axes) -> dict[int, tuple[tuple[float, float, float], float]]:
+    """Position and yaw of the complete poses by row; marks the others, and refuses rotations that do not fit axes."""
+    position = np.array(poses.position, np.float64)
+    for what, values in (("position", position), ("yaw", np.array(poses.yaw_rad).reshape(-1, 1))):
+        for row in np.flatnonzero(~(np.abs(values) <= MAX_MAGNITUDE).all(axis=1)).tolist():
+            poses.wrong[row] = poses.wrong[row] or f"{what} is not finite or beyond {MAX_MAGNITUDE:g}"
+    rows = [row for row, wrong in enumerate(poses.wrong) if not wrong]
     if not rows:
-        raise refusal(path, "has no rows below its header")
-    return rows
-
-
-def _number(path: Path, line: int, column: str, text: str) -> float:
-    """A number; NaN where the cell is empty."""
-    try:
-        return plain_float(text or "nan")
-    except ValueError:
-        raise refusal(path, f"line {line}: {column} is {text[:40]!r}, not a number") from None
+        return {}
+    if poses.yaw_rad:
+        yaw_rad = axes.yaw_of_angle(np.array(poses.yaw_rad)[rows])
+    else:
+        turn = Rotation.from_quat(np.array(poses.quaternion)[rows])
+        if not axes.stated and not axes.upright(turn):
+            doubt = f"with axes {axes.code}, usual for this form, the bodies do not stand upright"
+            raise refusal(path, f"{doubt}; say which way x, y and z point: --axes enu/rdf for a camera, see --help")
+        yaw_rad = axes.yaw_of_rotation(turn)
+    placed = axes.place(position[rows])
+    return {
+        row: ((float(x), float(y), float(z)), float(yaw))
+        for row, (x, y, z), yaw in zip(rows, placed, yaw_rad, strict=True)
+    }
 
 
 def _context(path: Path, line: int, text: str) -> int:
     if text and text not in CONTEXTS:
-        raise refusal(path, f"line {line}: context is {text[:40]!r}, not one of {', '.join(CONTEXTS)} or empty")
+        raise refusal(path, f"context is {text[:40]!r}, not one of {', '.join(CONTEXTS)} or empty", line)
     return CONTEXTS.index(text) if text else -1
 
 

@@ -34,7 +34,11 @@ def tables() -> Iterator[tuple[str, bytes]]:
     for name in names:
         yield f"no column {name.decode()}", HEADER.replace(name, b"other") + ROW
     yield "a column twice", HEADER + b",x_m" + ROW + b",5"
-    yield "semicolons", HEADER.replace(b",", b";") + ROW.replace(b",", b";")
+    yield "semicolons below commas", HEADER + ROW.replace(b",", b";")
+    yield "decimal commas and points", (HEADER + b"\n0,1.5,2,3,4").replace(b",", b"\t") + b"\n1\t1,5\t2\t3\t4"
+    yield "six numbers without a name", b"0,1,2,3,4,5"
+    yield "a quaternion of zeros", b"frame,x_m,y_m,z_m,qw,qx,qy,qz\n0,1,2,3,0,0,0,0"
+    yield "a heading of no kind", HEADER.replace(b"yaw_deg", b"yaw") + ROW
     yield "too few values", HEADER + b"\n0,1,2,3"
     yield "too many values", HEADER + ROW + b",5,6"
     yield "frame twice", HEADER + ROW + ROW
