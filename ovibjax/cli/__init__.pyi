@@ -1,6 +1,6 @@
 from .best import Best as Best
+from .commands import check_options as check_options
 from .features import Features as Features
-from .main import check_options as check_options
 from .replay import Replay as Replay
 from .reproduce import Reproduce as Reproduce
 from .show import Show as Show

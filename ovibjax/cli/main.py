@@ -1,120 +1,65 @@
-"""The command line: `ovibjax reproduce`, `sweep`, `show`, `best`, `replay`, `features` and `town`.
+"""The command line, from its first line to its exit code: 2 and one line for bad input, 130 and one line for Ctrl-C.
 
-The only place, with the tests' `conftest.py`, where process-wide settings are made.
+With the tests' `conftest.py` the only place where process-wide settings are made. Little is imported before Ctrl-C is
+handled: the commands take a second to load.
 """
 
-import difflib
 import os
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Annotated
 
-import tyro
-
-from ovibjax.cli.best import Best
-from ovibjax.cli.features import Features
-from ovibjax.cli.replay import Replay
-from ovibjax.cli.reproduce import Reproduce
-from ovibjax.cli.show import Show
-from ovibjax.cli.sweep_run import SweepRun
-from ovibjax.cli.sweep_system import SweepSystem
-from ovibjax.cli.sweep_train import SweepTrain
-from ovibjax.cli.town import Town
-from ovibjax.errors import InputError
-from ovibjax.runtime.cache import keep_compiled_programs
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """Compute a grid of members in one compiled program, into a store that survives a kill."""
-
-    what: Annotated[
-        Annotated[SweepTrain, tyro.conf.subcommand("train")]
-        | Annotated[SweepSystem, tyro.conf.subcommand("system")]
-        | Annotated[SweepRun, tyro.conf.subcommand("run")],
-        tyro.conf.arg(name=""),
-    ]
-    """What to do at every point."""
-
-    def run(self) -> None:
-        """Run the command."""
-        self.what.run()
-
-
-Command = (
-    Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
-    | Annotated[Sweep, tyro.conf.subcommand("sweep")]
-    | Annotated[Show, tyro.conf.subcommand("show")]
-    | Annotated[Best, tyro.conf.subcommand("best")]
-    | Annotated[Replay, tyro.conf.subcommand("replay")]
-    | Annotated[Features, tyro.conf.subcommand("features")]
-    | Annotated[Town, tyro.conf.subcommand("town")]
-)
-
-_OPTIONS: dict[tuple[str, ...], type] = {
-    ("reproduce",): Reproduce,
-    ("sweep", "train"): SweepTrain,
-    ("sweep", "system"): SweepSystem,
-    ("sweep", "run"): SweepRun,
-    ("show",): Show,
-    ("best",): Best,
-    ("replay",): Replay,
-    ("features",): Features,
-    ("town",): Town,
-}
-
-
-def _option_names(command: type) -> list[str]:
-    """Options of a command, those of a group it includes among them."""
-    names: list[str] = []
-    for field in fields(command):
-        group: object = field.default
-        if is_dataclass(group) and not isinstance(group, type):
-            names += [part.name for part in fields(group)]
-        else:
-            names.append(field.name)
-    return [name.replace("_", "-") for name in names]
-
-
-def check_options(arguments: Sequence[str]) -> None:
-    """Refuse a misspelt option in one line that names the nearest one.
-
-    Args:
-        arguments: the command line without the program's name.
-
-    Raises:
-        InputError: an option that the command does not have.
-    """
-    for words, command in _OPTIONS.items():
-        if tuple(arguments[: len(words)]) != words:
-            continue
-        known = ["help", *_option_names(command)]
-        for argument in arguments[len(words) :]:
-            name = argument[2:].partition("=")[0].replace("_", "-")
-            if argument.startswith("--") and name.removeprefix("no-") not in known:
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean --{near[0]}?" if near else f"there are --{', --'.join(known)}"
-                raise InputError(f"--{name}: {' '.join(words)} has no such option; {hint}")
+from ovibjax.cli.interrupts import watched
 
 
 def main() -> None:
-    """Entry point of the console script; bad input is one line and exit code 2."""
+    """Entry point of the console script."""
+    with watched() as presses:
+        try:
+            from ovibjax.cli.commands import run
+            from ovibjax.cli.terminal import civil
+            from ovibjax.errors import InputError
+
+            with civil():
+                try:
+                    run(sys.argv[1:])
+                except InputError as error:
+                    # What somebody's own function ran into may be this, in other words.
+                    _end((error.__cause__ is not None and _no_device()) or str(error), 2)
+                except Exception:
+                    if said := _no_device():
+                        _end(said, 2)
+                    raise
+        except BaseException as error:
+            # An interrupted import may come as another error.
+            if isinstance(error, KeyboardInterrupt) or (presses.came and isinstance(error, Exception)):
+                presses.over()
+                _leave(error)
+            raise
+
+
+def _end(said: str, code: int) -> None:
+    print(f"ovibjax: {said}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _no_device() -> str:
+    """Why jax found nothing to compute on, as the cause of whatever went wrong; empty where it did."""
+    wanted = os.environ.get("JAX_PLATFORMS")
+    if not wanted or "jax" not in sys.modules:
+        return ""
+    from ovibjax.errors import one_line
+
     try:
-        if "jax" not in sys.modules:
-            keep_compiled_programs()
-        check_options(sys.argv[1:])
-        command: Command = tyro.cli(
-            Command,
-            prog="ovibjax",
-            description="Task-oriented communications for edge-assisted multi-view localization, for people who sweep.",
-        )
-        command.run()
-    except InputError as error:
-        print(f"ovibjax: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt as error:
-        print(f"ovibjax: {str(error) or 'interrupted'}", file=sys.stderr)
-        sys.stderr.flush()
-        # Compiled programs still running in worker threads cannot be stopped; do not wait for them.
-        os._exit(130)
+        sys.modules["jax"].devices()
+    except Exception as error:
+        reason = f" ({one_line(error).partition(' (')[0][:160]})" if str(error) else ""
+        return f"JAX_PLATFORMS={wanted}: jax finds no such device here{reason}; unset it, or set it to cpu"
+    return ""
+
+
+def _leave(error: BaseException) -> None:
+    """Say that the program was interrupted, and go."""
+    said = str(error).strip() if isinstance(error, KeyboardInterrupt) else ""
+    print(f"ovibjax: {said or 'interrupted'}", file=sys.stderr)
+    sys.stderr.flush()
+    # Compiled programs still running in worker threads cannot be stopped; do not wait for them.
+    os._exit(130)

@@ -1,6 +1,7 @@
 """The command `ovibjax replay`: one route under one or several request policies."""
 
 import difflib
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ovibjax.cli.options import own_frames
 from ovibjax.errors import InputError
-from ovibjax.runtime.progress import console, progress_bar
+from ovibjax.runtime.progress import console, progress_bar, width_of
 
 if TYPE_CHECKING:
     from ovibjax.control.actions import ActionSet
@@ -174,7 +175,7 @@ class Replay:
             table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=column == "policy")
         for name, (mean, p95, risk, requests, kb) in rows.items():
             table.add_row(name, f"{mean:.2f}", f"{p95:.2f}", f"{risk:.2f}", f"{requests:.0f}", f"{kb:.2f}")
-        Console().print(table)
+        Console(width=width_of(sys.stdout)).print(table)
 
     def _draw(self, run: "RouteResult", scene: "Scene") -> None:
         from ovibjax.cards.timeline import draw_timeline

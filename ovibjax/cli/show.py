@@ -1,5 +1,6 @@
 """The command `ovibjax show`: the results of a sweep as a table, a file or a plot, also while it is running."""
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import tyro
 from ovibjax.cli.options import require_positive
 from ovibjax.errors import InputError
 from ovibjax.runtime.plain_numbers import plain_float
-from ovibjax.runtime.progress import console
+from ovibjax.runtime.progress import console, width_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -81,7 +82,7 @@ class Show:
         for path, write in files:
             _writing(path, write)
         if not files:
-            Console().print(self._table(dataset, None))
+            Console(width=width_of(sys.stdout)).print(self._table(dataset, None))
 
     def _check(self) -> None:
         """Refuse options that go nowhere together."""

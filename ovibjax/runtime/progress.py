@@ -1,12 +1,30 @@
-"""Progress on the terminal."""
+"""Progress on the terminal, and how wide what is no terminal may be taken."""
 
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-console = Console(stderr=True)
+_UNBOUNDED = 10_000
+
+
+def width_of(stream: TextIO) -> int | None:
+    """Columns to print in: None, for a terminal to say; without bound for files and pipes, where lines are not cut.
+
+    Args:
+        stream: standard output or error.
+
+    Returns:
+        The width; `COLUMNS`, where it is set, is left to rich.
+    """
+    return None if "COLUMNS" in os.environ or stream.isatty() else _UNBOUNDED
+
+
+console = Console(stderr=True, width=width_of(sys.stderr))
 
 
 @contextmanager

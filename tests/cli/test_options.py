@@ -2,7 +2,7 @@
 
 import pytest
 
-from ovibjax.cli.main import check_options
+from ovibjax.cli.commands import check_options
 from ovibjax.cli.options import integers, numbers
 from ovibjax.errors import InputError
 

@@ -1,12 +1,14 @@
 """`ovibjax show` and `ovibjax best` on a small store with a hole, as a user types them."""
 
 import re
+import sys
 import threading
 import time
 
 import numpy as np
 import pytest
 
+from ovibjax.cli.main import main
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.store import Store
 from tests.cli.cases import done_here, said_of_bad_input
@@ -55,6 +57,21 @@ def refused(store, monkeypatch, capsys):
 def rows(table):
     """Rows of a printed table, which begin with two numbers."""
     return [line.split() for line in table.splitlines() if re.match(r"\s*[\d.]+\s+[-\d.]+\s", line)]
+
+
+def test_a_file_has_whole_headings(tmp_path, monkeypatch, capsys):
+    long = "error_of_the_route_after_the_last_correction_m"
+    axes = {"weight_of_the_orthogonality_penalty": [0.0, 1.0], "seed": [0, 1]}
+
+    def many(key, point, shared):
+        return {f"{long}_{i}": point["weight_of_the_orthogonality_penalty"] + i for i in range(4)}
+
+    run(many, axes, store=tmp_path / "wide.zarr")
+    monkeypatch.delenv("COLUMNS", raising=False)
+    monkeypatch.setattr(sys, "argv", ["ovibjax", "show", str(tmp_path / "wide.zarr")])
+    main()
+    heading = next(line for line in capsys.readouterr().out.splitlines() if "penalty" in line)
+    assert all(f"{long}_{i}" in heading for i in range(4)) and "…" not in heading
 
 
 def test_a_hole_is_shown_as_one(shown):

@@ -1,0 +1,80 @@
+"""Good manners on a terminal that is not one, or not ours: other encodings, pipes that close, warnings of libraries."""
+
+import codecs
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ovibjax.errors import Doubt
+
+_SIGNS = {"•": "*", "·": ".", "–": "-", "—": "-", "−": "-", "…": "...", "“": '"', "”": '"', "‘": "'", "’": "'"}
+_SIGNS |= {"×": "x", "→": "->", "←": "<-", "≤": "<=", "≥": ">=", "≈": "~", "±": "+-", "°": " deg", "²": "2", "³": "3"}
+_SIGNS |= {"√": "sqrt", "∞": "inf", "Σ": "sum", "Δ": "Delta", "Φ": "Phi", "α": "alpha", "β": "beta", "γ": "gamma"}
+_SIGNS |= {"δ": "delta", "ε": "epsilon", "η": "eta", "λ": "lambda", "μ": "mu", "ν": "nu", "σ": "sigma", "ψ": "psi"}
+_SIGNS |= dict.fromkeys("─━═╌╍┄┅╴╶╸╺╼╾", "-") | dict.fromkeys("│┃║╎╏", "|")
+_SIGNS |= dict.fromkeys("╭╮╰╯┌┐└┘├┤┬┴┼┏┓┗┛┣┫┳┻╋╇╈╡╞╪╤╧", "+")
+_CACHE = "persistent compilation cache"
+_SIGPIPE_CODE = 128 + 13  # as a shell reports of programs that the signal ends
+
+
+def _replaced(error: UnicodeError) -> tuple[str, int]:
+    """What is written for characters that an encoding lacks: a plain word for those of ours, an escape for others."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    plain = (_SIGNS.get(one) or one.encode("ascii", "backslashreplace").decode() for one in lacking)
+    return "".join(plain), error.end
+
+
+codecs.register_error("ovibjax.plain", _replaced)
+
+
+@contextmanager
+def civil() -> Iterator[None]:
+    """Run a command with output that any terminal takes, and end quietly where nobody reads it any more.
+
+    A doubt about the input (`errors.Doubt`) is one line on standard error, as is the first complaint of jax about the
+    folder of compiled programs.
+
+    Raises:
+        SystemExit: standard output or error was closed by its reader.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="ovibjax.plain")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", Doubt)
+            warnings.filterwarnings("always", f".*{_CACHE}")
+            warnings.showwarning = _Notes(warnings.showwarning)
+            try:
+                yield
+            finally:
+                sys.stdout.flush()
+    except BrokenPipeError:
+        # What is left in the buffers must go somewhere when Python ends.
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        sys.exit(_SIGPIPE_CODE)
+
+
+class _Notes:
+    """Shows doubts as lines, and leaves other warnings to Python."""
+
+    def __init__(self, others: Any) -> None:
+        self._others, self._cache_told = others, False
+
+    def __call__(self, message: Any, category: type[Warning], *place: Any, **more: Any) -> None:
+        if issubclass(category, Doubt):
+            print(f"ovibjax: note: {message}", file=sys.stderr)
+        elif _CACHE in str(message):
+            if not self._cache_told:
+                self._cache_told = True
+                folder = os.environ.get("JAX_COMPILATION_CACHE_DIR", "")
+                reason = " ".join(str(message).split())[-160:]
+                print(f"ovibjax: note: {folder}: compiled programs cannot be kept ({reason})", file=sys.stderr)
+        else:
+            self._others(message, category, *place, **more)

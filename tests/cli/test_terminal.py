@@ -1,0 +1,131 @@
+"""Commands on terminals that are none: other encodings, closed pipes, files; and without the device asked for."""
+
+import codecs
+import io
+import os
+import subprocess
+import sys
+import warnings
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ovibjax import __version__
+from ovibjax.cli import main as cli
+from ovibjax.cli.terminal import civil
+from ovibjax.errors import InputError, doubt
+from ovibjax.runtime.progress import width_of
+from tests.cli.cases import ROOT, done_here, ovibjax
+
+HELP = [
+    (),
+    ("sweep", "train"),
+    ("sweep", "system"),
+    ("sweep", "run"),
+    ("replay",),
+    ("reproduce",),
+    ("features",),
+    ("show",),
+]
+
+
+@given(st.text(), st.sampled_from(["ascii", "latin-1", "cp1252", "cp437", "shift_jis", "utf-8"]))
+def test_any_text_can_be_written_in_any_encoding(text, encoding):
+    written = text.encode(encoding, "ovibjax.plain")
+    assert written.decode(encoding).isprintable() or not text.isprintable()
+    if text.isascii():
+        assert written.decode(encoding) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("4.9 ± 1.2 m", "4.9 +- 1.2 m"),
+        ("• β → γ", "* beta -> gamma"),
+        ("╭─│╮", "+-|+"),
+        ("Zürich", "Z\\xfcrich"),
+        ("\udcff.jpg", "\\udcff.jpg"),
+    ],
+)
+def test_our_own_signs_have_a_plain_form(text, plain):
+    assert text.encode("ascii", "ovibjax.plain").decode() == plain
+
+
+def test_a_name_that_is_no_unicode_can_be_printed_in_utf_8():
+    assert "\udcff €".encode("utf-8", "ovibjax.plain") == "\\udcff €".encode()
+    with pytest.raises(UnicodeDecodeError):
+        b"\xff".decode("ascii", "ovibjax.plain")
+    assert codecs.lookup_error("ovibjax.plain")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("words", HELP, ids=" ".join)
+def test_help_in_other_encodings(monkeypatch, words, encoding):
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, encoding=encoding))
+    monkeypatch.setattr(sys, "argv", ["ovibjax", *words, "--help"])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert left.value.code in (0, None) and len(raw.getvalue()) > 100
+
+
+@pytest.mark.parametrize("words", [("--help",), ("sweep", "train", "--help"), ("replay", "--policy", "no_such")])
+@pytest.mark.parametrize("closed", ["stdout", "stderr"])
+def test_a_reader_that_goes_away_is_no_error(tmp_path, words, closed):
+    reading, writing = os.pipe()
+    os.close(reading)
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, closed: writing}
+    done = subprocess.run([sys.executable, "-m", "ovibjax", *words], env=env, cwd=tmp_path, timeout=120, **streams)
+    os.close(writing)
+    said = (done.stdout or b"") + (done.stderr or b"")
+    assert b"Traceback" not in said and b"Broken" not in said, said
+    assert done.returncode in (0, 2, 141), done.returncode
+
+
+def test_a_file_is_as_wide_as_its_lines(tmp_path, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert width_of(io.StringIO()) == 10_000
+    monkeypatch.setenv("COLUMNS", "70")
+    assert width_of(io.StringIO()) is None
+
+
+def test_the_version_is_one_line(monkeypatch, capsys):
+    said = done_here(monkeypatch, capsys, "--version").strip()
+    assert said.startswith(f"ovibjax {__version__}, jax ") and len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("platform", ["cuda", "no_such"])
+def test_a_device_that_is_not_here_is_one_line(tmp_path, platform):
+    (tmp_path / "mine.py").write_text(
+        "import jax.numpy as jnp\naxes = {'x': [1.0], 'seed': range(2)}\n"
+        "def shared():\n    return jnp.ones(3)\n"
+        "def member(key, point, shared):\n    return {'y': point['x'] * shared.sum()}\n"
+    )
+    env = {**os.environ, "JAX_PLATFORMS": platform}
+    done = ovibjax("sweep", "run", "mine.py", "--out", "a.zarr", cwd=tmp_path, env=env)
+    said = done.stderr.strip()
+    assert done.returncode == 2 and len(said.splitlines()) == 1, said
+    assert f"JAX_PLATFORMS={platform}: jax finds no such device here" in said and "unset it" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.py"]
+
+
+def test_doubts_are_lines_and_other_warnings_python_s(capsys):
+    with civil():
+        doubt("poses.csv", "yaw_deg may be radians")
+        doubt("poses.csv", "yaw_deg may be radians")
+        for entry in ("a", "b"):
+            warnings.warn(
+                f"Error writing persistent compilation cache entry for '{entry}': no space left", stacklevel=1
+            )
+    said = capsys.readouterr().err.splitlines()
+    assert said[:2] == ["ovibjax: note: poses.csv: yaw_deg may be radians"] * 2
+    assert len(said) == 3 and "compiled programs cannot be kept" in said[2] and "no space left" in said[2]
+    with civil(), pytest.raises(UserWarning, match="another"):
+        warnings.warn("another", stacklevel=1)
+
+
+def test_errors_of_a_command_pass_through():
+    with pytest.raises(InputError), civil():
+        raise InputError("x")
