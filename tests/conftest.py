@@ -5,8 +5,9 @@ import shutil
 import tempfile
 from importlib.metadata import version
 
-# One CPU device, stated before jax starts. The programs are many and small: most of the time would go to optimizing
-# machine code.
+# One CPU device with one thread, as `ovibjax sweep` has it, stated before jax starts. The programs are many and small:
+# most of the time would go to optimizing machine code.
+os.environ.setdefault("NPROC", "1")
 _flags = ["--xla_force_host_platform_device_count=1", "--xla_backend_optimization_level=0"]
 # A flag that XLA does not know ends the process.
 if tuple(int(part) for part in version("jaxlib").split(".")[:2]) < (0, 11):

@@ -22,7 +22,8 @@ PUBLIC = {
     "ovibjax": """FeatureSet InputError cards cli control edge encoder features link load_features make_feature_set
         report reproduce room_features runtime scheduling sweep system town_features views world""",
     "ovibjax.cards": "CardInterrupted Job PRESETS card_names card_paths load_card load_features load_pair",
-    "ovibjax.cli": "Best Features Replay Reproduce Show SweepRun SweepSystem SweepTrain Town check_options",
+    "ovibjax.cli": """Best Features Replay Reproduce Show SweepMerge SweepRun SweepSystem SweepTrain SweepUpgrade Town
+        check_options""",
     "ovibjax.control": """ACTIONS ControlParams Environment POLICIES Prices Route Scene embedded_drives fit_predictor
         make_controller make_environment make_scene net_voi replay summarize""",
     "ovibjax.edge": """Index TrainAndJudge Trained brute_force build_index calibrate coarse_to_fine errors judge
@@ -39,11 +40,11 @@ PUBLIC = {
     "ovibjax.report": """Claim Interval Ranking band bars choose interval plot select sheet table variance_shares watch
         write_claims write_csv write_page write_parquet""",
     "ovibjax.runtime": """PRECISIONS cache_folder faster_precision in_order in_threads keep_compiled_programs
-        progress_bar workers""",
+        one_blas_thread pool_threads progress_bar workers""",
     "ovibjax.scheduling": """LEVELS POLICIES RequestTrace SchedulerParams TIES Weights default_params
         default_trace_params make_trace metrics recorded_events replay replay_coupled run_grid solve
         synthetic_events""",
-    "ovibjax.sweep": "Along Axis Interrupted best config_of on_ray open open_dataset run take tree_of",
+    "ovibjax.sweep": "Along Axis Interrupted best config_of merge on_ray open open_dataset run take tree_of",
     "ovibjax.system": "DIMS HYPERS SystemConfig SystemData SystemSize along make_system run sweep_system",
     "ovibjax.world": """Camera RoomConfig TownConfig contact_sheet context_labels make_room make_route make_town
         platform_room render render_interior room_features rooms town town_features write_frames""",

@@ -12,15 +12,13 @@ from typing import Any
 
 import xarray
 
-from ovibjax.errors import InputError
 from ovibjax.features.frames import FeatureSet
 from ovibjax.report.provenance import provenance
 from ovibjax.runtime.cache import cache_folder
 from ovibjax.runtime.progress import progress_bar
 from ovibjax.runtime.stage_times import Stages
+from ovibjax.sweep.differences import digest
 from ovibjax.sweep.engine import Interrupted, run
-from ovibjax.sweep.schema import digest
-from ovibjax.sweep.store import attach
 
 PRESETS = ("smoke", "quick", "full")
 Sweep = Callable[..., xarray.Dataset]
@@ -103,7 +101,7 @@ class Job:
             stage: see `stage`.
 
         Returns:
-            The dataset, complete; attribute `resumed` says how many members an earlier, interrupted run had finished.
+            The dataset, complete; attribute `resumed` says how many members an earlier run had finished.
 
         Raises:
             CardInterrupted: Ctrl-C; finished members are kept.
@@ -165,10 +163,11 @@ def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
 
 
 def _remove_old(folder: Path) -> None:
-    """Remove finished sweeps begun more than a week ago; unfinished ones are somebody's work."""
+    """Remove stores to which nothing was added for a week."""
     for path in folder.glob("*.zarr"):
-        if time.time() - path.stat().st_mtime < _KEPT_S:
-            continue
-        with suppress(InputError, OSError):
-            if attach(path).finished().all():
+        with suppress(OSError):
+            # The second is what stores of an older version had.
+            is_store = (path / "sweep.json").is_file() or (path / "finished" / "zarr.json").is_file()
+            added = max(part.stat().st_mtime for part in (path, *path.glob("members")))
+            if is_store and time.time() - added > _KEPT_S:
                 shutil.rmtree(path)

@@ -4,6 +4,8 @@ from .features import Features as Features
 from .replay import Replay as Replay
 from .reproduce import Reproduce as Reproduce
 from .show import Show as Show
+from .sweep_merge import SweepMerge as SweepMerge
+from .sweep_merge import SweepUpgrade as SweepUpgrade
 from .sweep_run import SweepRun as SweepRun
 from .sweep_system import SweepSystem as SweepSystem
 from .sweep_train import SweepTrain as SweepTrain
@@ -15,9 +17,11 @@ __all__ = [
     "Replay",
     "Reproduce",
     "Show",
+    "SweepMerge",
     "SweepRun",
     "SweepSystem",
     "SweepTrain",
+    "SweepUpgrade",
     "Town",
     "check_options",
 ]

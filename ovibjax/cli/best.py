@@ -37,7 +37,7 @@ class Best:
     def run(self) -> None:
         """Run the command."""
         from ovibjax.report.best import choose, command
-        from ovibjax.report.labels import with_unit
+        from ovibjax.report.labels import axes_of, grid_dims, with_unit
         from ovibjax.report.selection import select
         from ovibjax.sweep.store import config_of, open_dataset
 
@@ -56,8 +56,9 @@ class Best:
             for line in _against(found, found.runner_up, "seed" if "seed" in found.over else "member", unit):
                 print(f"  {line}")
         try:
+            axes = axes_of(dataset, grid_dims(dataset))
             out = str(self.path.with_name(f"{self.path.stem}-best.zarr"))
-            print(command(config_of(self.path) or {}, found.point, found.over, out))
+            print(command(config_of(self.path) or {}, axes, found.point, found.over, out))
         except InputError as error:
             print(f"  ({error})")
 

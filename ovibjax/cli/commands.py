@@ -16,6 +16,7 @@ from ovibjax.cli.features import Features
 from ovibjax.cli.replay import Replay
 from ovibjax.cli.reproduce import Reproduce
 from ovibjax.cli.show import Show
+from ovibjax.cli.sweep_merge import SweepMerge, SweepUpgrade
 from ovibjax.cli.sweep_run import SweepRun
 from ovibjax.cli.sweep_system import SweepSystem
 from ovibjax.cli.sweep_train import SweepTrain
@@ -26,12 +27,14 @@ from ovibjax.runtime.cache import keep_compiled_programs
 
 @dataclass(frozen=True)
 class Sweep:
-    """Compute a grid of members in one compiled program, into a store that survives a kill."""
+    """Compute a grid of members in one compiled program, into a store that grows and survives a kill."""
 
     what: Annotated[
         Annotated[SweepTrain, tyro.conf.subcommand("train")]
         | Annotated[SweepSystem, tyro.conf.subcommand("system")]
-        | Annotated[SweepRun, tyro.conf.subcommand("run")],
+        | Annotated[SweepRun, tyro.conf.subcommand("run")]
+        | Annotated[SweepMerge, tyro.conf.subcommand("merge")]
+        | Annotated[SweepUpgrade, tyro.conf.subcommand("upgrade")],
         tyro.conf.arg(name=""),
     ]
     """What to do at every point."""
@@ -56,6 +59,8 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("sweep", "train"): SweepTrain,
     ("sweep", "system"): SweepSystem,
     ("sweep", "run"): SweepRun,
+    ("sweep", "merge"): SweepMerge,
+    ("sweep", "upgrade"): SweepUpgrade,
     ("show",): Show,
     ("best",): Best,
     ("replay",): Replay,

@@ -1,6 +1,6 @@
 """What several commands share: typed numbers, own frames, where a sweep is computed, and how a command stops."""
 
-import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 
 from ovibjax.errors import InputError
 from ovibjax.runtime.plain_numbers import plain_float, plain_int
+from ovibjax.runtime.progress import console
 
 if TYPE_CHECKING:
+    import xarray
+
     from ovibjax.features.frames import FeatureSet
     from ovibjax.sweep.engine import Executor
 
@@ -120,23 +123,8 @@ def own_frames(data: Path | None) -> "FeatureSet | None":
     return own
 
 
-def split_processor(devices: int) -> None:
-    """Make the processor several devices; before jax starts, which is why commands import it late.
-
-    Args:
-        devices: how many.
-
-    Raises:
-        InputError: not a positive number.
-    """
-    if devices < 1:
-        raise InputError(f"--devices {devices} is not positive")
-    flags = os.environ.get("XLA_FLAGS", "")
-    os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={devices}".strip()
-
-
 def executor_of(on: str, address: str | None) -> "Executor | None":
-    """Where the chunks of a sweep are computed.
+    """Where the members of a sweep are computed.
 
     Args:
         on: `local` or `ray`.
@@ -157,6 +145,26 @@ def executor_of(on: str, address: str | None) -> "Executor | None":
     return None
 
 
+def shard_of(given: str | None) -> tuple[int, int] | None:
+    """Which members of a sweep to compute.
+
+    Args:
+        given: `3/16`, or None for all of them.
+
+    Returns:
+        3 and 16, or None.
+
+    Raises:
+        InputError: something else was typed.
+    """
+    if given is None:
+        return None
+    found = re.fullmatch(r"(\d+)/(\d+)", given)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise InputError(f"--shard {given}: give i/n with i from 1 to n, e.g. 3/16")
+    return int(found[1]), int(found[2])
+
+
 @contextmanager
 def going_on_in(store: Path) -> Iterator[None]:
     """After Ctrl-C during a sweep, say what is kept and how to go on."""
@@ -169,3 +177,34 @@ def going_on_in(store: Path) -> Iterator[None]:
         raise KeyboardInterrupt(
             f"interrupted; {int(done.sum())} of {done.size} members are in {store}: repeat the command to go on"
         ) from None
+
+
+def kept_in(out: Path, keep_both: bool, compute: "Callable[[Path], xarray.Dataset]") -> "tuple[xarray.Dataset, Path]":
+    """Run a sweep into its store, or into one beside it if that one holds another sweep and both are to be kept.
+
+    Args:
+        out: the store that was asked for.
+        keep_both: whether a second sweep gets a store of its own in the same folder.
+        compute: runs the sweep into a store.
+
+    Returns:
+        The results, and the store they are in.
+    """
+    from ovibjax.sweep.head import OtherSweep
+
+    try:
+        with going_on_in(out):
+            return compute(out), out
+    except OtherSweep as error:
+        if not keep_both:
+            raise
+        beside = error.beside
+    console.print(f"{out} holds another sweep, which stays; this one is kept in {beside}", highlight=False)
+    with going_on_in(beside):
+        return compute(beside), beside
+
+
+def finished_line(dataset: "xarray.Dataset", note: str) -> str:
+    """How many members of a grid are there, all or the shards so far, with a note on them."""
+    there, size = int(dataset.finished.sum()), dataset.finished.size
+    return f"{size} members{note}" if there == size else f"{there} of {size} members{note}"

@@ -120,7 +120,7 @@ class Show:
             except InputError:
                 time.sleep(0.5)  # a writer may have been between two files
                 dataset = open_dataset(self.path)
-            return select(dataset, self.where)
+            return select(dataset, self.where) if dataset.finished.size else None
 
         watch(read, self._table, str(self.path), every_s)
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from ovibjax.cli.options import executor_of, going_on_in, integers, numbers, require_positive, split_processor
+from ovibjax.cli.options import executor_of, finished_line, integers, kept_in, numbers, require_positive, shard_of
+from ovibjax.cli.processor import settle
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
@@ -41,7 +42,8 @@ class SweepRun:
     outputs; zipped, groups of axes that advance together; and settings, kept in the store and compared.
 
     Finished members are written to OUT as they come: after Ctrl-C, a crash or a kill, the same command goes on where it
-    stopped. Another function, other data or settings on the same OUT are refused with what differs.
+    stopped, and one with more values adds what is missing. Another function, other data or settings on the same OUT are
+    refused with what differs.
 
     Example: ovibjax sweep run examples/digits.py --axis l2=1e-4,1e-2 seed=0:20 --out runs/digits.zarr
     """
@@ -49,17 +51,21 @@ class SweepRun:
     file: tyro.conf.Positional[Path]
     """The Python file."""
     out: Path
-    """The store to write, a folder ending in .zarr; resumed if it holds the same sweep."""
+    """The store, a folder ending in .zarr; members that it has are not computed again."""
     axis: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = ()
     """Values in place of the file's, NAME=VALUE,VALUE; whole numbers also as ranges: seed=0:5 is 0 1 2 3 4."""
     on: Literal["local", "ray"] = "local"
-    """Where chunks are computed: this machine, or a Ray cluster (extra [cluster])."""
+    """Where members are computed: this machine, or a Ray cluster (extra [cluster])."""
     address: str | None = None
     """Address of a running Ray cluster; a local one is started by default. OUT must be visible to its workers."""
     devices: int | None = None
-    """Split the processor into so many devices; by default chunks run in one thread per core."""
-    chunk: int | None = None
-    """Members per chunk, the unit that is stored; chosen from memory by default."""
+    """Split the processor into so many devices; by default members run side by side, one per core."""
+    threads: int | None = None
+    """Threads of one program. Bits depend on it: by default those that OUT was begun with, in a new one 1."""
+    shard: str | None = None
+    """i/n, e.g. 3/16: compute a sixteenth of the members, so that 16 commands fill one OUT (or several, see merge)."""
+    keep_both: bool = False
+    """If OUT holds another sweep (other settings, data or code), use a store beside it instead of stopping."""
     lanes: int | None = None
     """Members vmapped together, from cache and memory by default; small members may gain from more, such as 4."""
     traceback: bool = False
@@ -67,9 +73,9 @@ class SweepRun:
 
     def run(self) -> None:
         """Run the command."""
-        if self.devices is not None:
-            split_processor(self.devices)
-        require_positive(self, "chunk", "lanes")
+        settle(self.out, self.threads, self.devices)
+        require_positive(self, "lanes")
+        shard_of(self.shard)  # misspelt, it is refused before the data are loaded
         executor = executor_of(self.on, self.address)
         try:
             with _importing_beside(self.file):
@@ -88,26 +94,30 @@ class SweepRun:
         file = read_sweep_file(self.file)
         axes = asked_axes([entry for entries in self.axis for entry in entries], file)
         shared = data_of(file, axes)
-        with progress_bar("computing", 1) as update, going_on_in(self.out):
+        with progress_bar("computing", 1) as update:
             try:
-                dataset = run(
-                    member_of(file, axes),
-                    axes,
-                    shared,
-                    **file.options,
-                    store=self.out,
-                    chunk=self.chunk,
-                    lanes=self.lanes,
-                    executor=executor,
-                    on_progress=update,
+                dataset, store = kept_in(
+                    self.out,
+                    self.keep_both,
+                    lambda store: run(
+                        member_of(file),
+                        axes,
+                        shared,
+                        **file.options,
+                        store=store,
+                        lanes=self.lanes,
+                        shard=shard_of(self.shard),
+                        executor=executor,
+                        on_progress=update,
+                    ),
                 )
             except jax.errors.JaxRuntimeError as error:  # out of memory, a host function that raised
                 raise InputError(
                     f"{self.file}: the program failed as it ran ({_gist(error)}); finished members are kept"
                 ) from error
         diverged = int(dataset.diverged.sum())
-        note = f", {diverged} diverged" if diverged else ""
-        console.print(f"{dataset.finished.size} members{note}: {self.out}\nlook at them: ovibjax show {self.out}")
+        line = finished_line(dataset, f", {diverged} diverged" if diverged else "")
+        console.print(f"{line}: {store}\nlook at them: ovibjax show {store}")
 
 
 def _gist(error: Exception) -> str:
@@ -135,7 +145,7 @@ def asked_axes(entries: Sequence[str], file: "SweepFile") -> dict[str, "Axis"]:
         file: what the file says.
 
     Returns:
-        All axes of the file, in its order.
+        All axes of the file, in its order; names have the number of their place in the file.
 
     Raises:
         InputError: an entry of another form, an axis that the file does not have, or an impossible value.
@@ -152,7 +162,12 @@ def asked_axes(entries: Sequence[str], file: "SweepFile") -> dict[str, "Axis"]:
         if name in given:
             raise InputError(f"--axis {entry}: values of {name} are given twice; write all after one {name}=")
         given.add(name)
-        axes[name] = replace(axes[name], values=tuple(_values(name, typed, list(axes[name].values))))
+        known, numbers = list(axes[name].values), axes[name].numbers
+        values = _values(name, typed, known)
+        if isinstance(known[0], str) and values != known:  # whichever are asked for, a name keeps its number
+            places = [known.index(value) for value in values]
+            numbers = places if numbers is None else [numbers[place] for place in places]
+        axes[name] = replace(axes[name], values=tuple(values), numbers=numbers)
     return axes
 
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from ovibjax.cli.options import going_on_in, integers, numbers, own_frames, require_positive
+from ovibjax.cli.options import finished_line, integers, kept_in, numbers, own_frames, require_positive, shard_of
+from ovibjax.cli.processor import settle
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
@@ -21,7 +22,7 @@ class SweepSystem:
     """
 
     out: Path
-    """The store to write, a folder ending in .zarr; resumed if it holds the same sweep."""
+    """The store, a folder ending in .zarr; members that it has are not computed again."""
     beta: tuple[str, ...] = ("1e-3",)
     """Weights of the rate term."""
     gamma: tuple[str, ...] = ("0.1",)
@@ -48,11 +49,16 @@ class SweepSystem:
     """Uplink rate, KB/s of 1,024 bytes."""
     data: Path | None = None
     """Your own feature set: frames of one route in order, half a second apart, the first 60 % for training."""
-    chunk: int | None = None
-    """Members per chunk, the unit that is stored; one by default, so that a point alone has the bits of the grid."""
+    shard: str | None = None
+    """i/n, e.g. 3/16: compute a sixteenth of the members, so that 16 commands fill one OUT (or several, see merge)."""
+    threads: int | None = None
+    """Threads of one program. Bits depend on it: by default those that OUT was begun with, in a new one 1."""
+    keep_both: bool = False
+    """If OUT holds another sweep (other settings, data or code), use a store beside it instead of stopping."""
 
     def run(self) -> None:
         """Run the command."""
+        settle(self.out, self.threads)
         from ovibjax.scheduling.rules import POLICIES
         from ovibjax.system.data import PREFIXES
 
@@ -68,9 +74,10 @@ class SweepSystem:
         for name in schedulers:
             if name not in POLICIES:
                 raise InputError(f"--scheduler {name}: there are {', '.join(POLICIES)}")
-        require_positive(self, "steps", "clients", "fleet", "chunk")
+        require_positive(self, "steps", "clients", "fleet")
         if not self.kb_per_s > 0:
             raise InputError(f"--kb-per-s {self.kb_per_s} is not positive")
+        shard_of(self.shard)  # misspelt, it is refused before the data are prepared
         self._sweep(axes, along, tuple(schedulers))
 
     def _sweep(self, axes: dict[str, list[Any]], along: dict[str, Any], schedulers: tuple[str, ...]) -> None:
@@ -85,18 +92,22 @@ class SweepSystem:
         settings: dict[str, Any] = {"policy": self.policy, "data": str(self.data) if self.data else "embedded"}
         settings |= {"steps": self.steps, "clients": self.clients, "fleet": self.fleet, "kb_per_s": self.kb_per_s}
         settings |= {"k": along["k"], "V": along["V"], "scheduler": list(schedulers)}
-        with progress_bar("training and replaying", 1) as update, going_on_in(self.out):
-            dataset = sweep_system(
-                (drives, training, size),
-                axes,
-                (along["k"], along["V"], schedulers),
-                self.policy,
-                store=self.out,
-                settings=settings,
-                chunk=self.chunk or 1,
-                on_progress=update,
+        with progress_bar("training and replaying", 1) as update:
+            dataset, store = kept_in(
+                self.out,
+                self.keep_both,
+                lambda store: sweep_system(
+                    (drives, training, size),
+                    axes,
+                    (along["k"], along["V"], schedulers),
+                    self.policy,
+                    store=store,
+                    settings=settings,
+                    shard=shard_of(self.shard),
+                    on_progress=update,
+                ),
             )
         lost = int(dataset.unserved.sum())
-        note = f"; {lost} requests exceeded the room kept for them" if lost else ""
-        points = dataset.top_cost.size
-        console.print(f"{points} points{note}: {self.out}\nlook at them: ovibjax show {self.out}")
+        line = finished_line(dataset, f"; {lost} requests exceeded the room kept for them" if lost else "")
+        each = dataset.top_cost.size // dataset.finished.size
+        console.print(f"{line}, {each} points each: {store}\nlook at them: ovibjax show {store}")

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ovibjax.cli.options import executor_of, going_on_in, integers, numbers, require_positive, split_processor
+from ovibjax.cli.options import executor_of, finished_line, integers, kept_in, numbers, require_positive, shard_of
+from ovibjax.cli.processor import settle
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
@@ -19,13 +20,14 @@ class SweepTrain:
 
     Give one or more values per axis; every combination is trained once per seed. Members of one seed see the same
     split, initial weights, minibatches and noise, so that differences between them are paired. Finished members are
-    written to OUT as they come: after Ctrl-C, a crash or a kill, the same command goes on where it stopped.
+    written to OUT as they come: after Ctrl-C, a crash or a kill, the same command goes on where it stopped. A command
+    with more values, or others, adds the members that are missing.
 
     Example: ovibjax sweep train --beta 1e-4 1e-3 --gamma 0 0.01 0.1 1 --seed 0:5 --prefix 8 16 35 --out runs/mine.zarr
     """
 
     out: Path
-    """The store to write, a folder ending in .zarr; resumed if it holds the same sweep."""
+    """The store, a folder ending in .zarr; members that it has are not computed again."""
     beta: tuple[str, ...] = ("1e-3",)
     """Weights of the rate term."""
     gamma: tuple[str, ...] = ("0.1",)
@@ -62,20 +64,24 @@ class SweepTrain:
     keep_params: bool = False
     """Also store the trained parameters (3 MB per member)."""
     on: Literal["local", "ray"] = "local"
-    """Where chunks are computed: this machine, or a Ray cluster (extra [cluster])."""
+    """Where members are computed: this machine, or a Ray cluster (extra [cluster])."""
     address: str | None = None
     """Address of a running Ray cluster; a local one is started by default. OUT must be visible to its workers."""
     devices: int | None = None
-    """Split the processor into so many devices; by default chunks run in one thread per core."""
-    chunk: int | None = None
-    """Members per chunk, the unit that is stored; chosen from memory by default."""
+    """Split the processor into so many devices; by default members run side by side, one per core."""
+    threads: int | None = None
+    """Threads of one program. Bits depend on it: by default those that OUT was begun with, in a new one 1."""
+    shard: str | None = None
+    """i/n, e.g. 3/16: compute a sixteenth of the members, so that 16 commands fill one OUT (or several, see merge)."""
+    keep_both: bool = False
+    """If OUT holds another sweep (other settings, data or code), use a store beside it instead of stopping."""
 
     def run(self) -> None:
         """Run the command."""
-        if self.devices is not None:
-            split_processor(self.devices)
+        settle(self.out, self.threads, self.devices)
         axes, prefixes = self._axes(), self._prefixes()
-        require_positive(self, "steps", "batch", "latent", "chunk")
+        shard_of(self.shard)  # misspelt, it is refused before the data are prepared
+        require_positive(self, "steps", "batch", "latent")
         self._train(axes, prefixes, executor_of(self.on, self.address))
 
     def _axes(self) -> dict[str, list[Any]]:
@@ -142,20 +148,24 @@ class SweepTrain:
         settings: dict[str, Any] = {"data": str(self.data) if self.data else "embedded", "rank": self.rank}
         settings |= {"steps": self.steps, "batch": self.batch, "latent": self.latent, "prior": self.prior}
         settings |= {"precision": static.precision, "prefix": list(prefixes), "mode": list(modes)}
-        with progress_bar("training", 1) as update, going_on_in(self.out):
-            dataset = run(
-                TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),
-                axes,
-                Along("seed", members),
-                dims=DIMS,
-                coords={"prefix": list(prefixes), "mode": list(modes)},
-                units=UNITS,
-                store=self.out,
-                settings=settings,
-                chunk=self.chunk,
-                executor=executor,
-                on_progress=update,
+        with progress_bar("training", 1) as update:
+            dataset, store = kept_in(
+                self.out,
+                self.keep_both,
+                lambda store: run(
+                    TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),
+                    axes,
+                    Along("seed", members),
+                    dims=DIMS,
+                    coords={"prefix": list(prefixes), "mode": list(modes)},
+                    units=UNITS,
+                    store=store,
+                    settings=settings,
+                    shard=shard_of(self.shard),
+                    executor=executor,
+                    on_progress=update,
+                ),
             )
         diverged = int(dataset.diverged.sum())
-        note = f", {diverged} diverged" if diverged else ""
-        console.print(f"{dataset.finished.size} members{note}: {self.out}\nlook at them: ovibjax show {self.out}")
+        line = finished_line(dataset, f", {diverged} diverged" if diverged else "")
+        console.print(f"{line}: {store}\nlook at them: ovibjax show {store}")

@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ovibjax.runtime.threads import one_blas_thread
+
 
 class ViewBasis(NamedTuple):
     """An affine map per view, fitted on training features only.
@@ -43,10 +45,11 @@ def fit_basis(features: np.ndarray, rank: int | None) -> ViewBasis:
         kept = np.ones(m)
     else:
         parts, kept = [], np.empty(m)
-        for view in range(m):
-            values, vectors = np.linalg.eigh((centred[:, view].T @ centred[:, view]).astype(np.float64))
-            parts.append(vectors[:, ::-1][:, :rank])
-            kept[view] = values[::-1][:rank].sum() / max(values.sum(), 1e-30)
+        with one_blas_thread():
+            for view in range(m):
+                values, vectors = np.linalg.eigh((centred[:, view].T @ centred[:, view]).astype(np.float64))
+                parts.append(vectors[:, ::-1][:, :rank])
+                kept[view] = values[::-1][:rank].sum() / max(values.sum(), 1e-30)
         axes = np.stack(parts).astype(np.float32)
     scale = np.float32(np.sqrt(np.mean(_per_view(centred, axes) ** 2)))
     return ViewBasis(mean.astype(np.float32), axes, np.maximum(scale, np.float32(1e-8)), kept.astype(np.float32))
@@ -59,4 +62,5 @@ def project(basis: ViewBasis, features: np.ndarray) -> np.ndarray:
 
 def _per_view(features: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """One matrix product per view: [N, M, d] by [M, d, r] to [N, M, r]."""
-    return np.stack([features[:, view] @ axes[view] for view in range(len(axes))], axis=1)
+    with one_blas_thread():
+        return np.stack([features[:, view] @ axes[view] for view in range(len(axes))], axis=1)

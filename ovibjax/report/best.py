@@ -2,7 +2,7 @@
 
 import operator
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -179,11 +179,18 @@ def _bound(entry: str, known: Sequence[str]) -> tuple[str, Callable[[Any, Any], 
     return find(name, list(known), "metric"), _COMPARISONS[sign], number
 
 
-def command(config: Mapping[str, Any], point: Mapping[str, Any], over: Mapping[str, Sequence[Any]], out: str) -> str:
+def command(
+    config: Mapping[str, Any],
+    axes: Collection[str],
+    point: Mapping[str, Any],
+    over: Mapping[str, Sequence[Any]],
+    out: str,
+) -> str:
     """The command that reruns one point alone.
 
     Args:
         config: configuration of the store.
+        axes: its axes; a point may hold values on dimensions of outputs beside them.
         point: value per axis.
         over: values of the axes that were averaged over.
         out: store to write.
@@ -195,12 +202,12 @@ def command(config: Mapping[str, Any], point: Mapping[str, Any], over: Mapping[s
         InputError: a sweep that no command of this software made.
     """
     if config["function"].startswith("sweep_file."):
-        return _run_command(config, {**{name: [value] for name, value in point.items()}, **over}, out)
+        values = {**{name: [value] for name, value in point.items()}, **over}
+        return _run_command(config, {name: items for name, items in values.items() if name in axes}, out)
     what = {"System": "system", "TrainAndJudge": "train"}.get(config["function"].rpartition(".")[2])
     if what is None:
         raise InputError(f"the sweep was made from Python by {config['function']}; no command reruns it")
-    values: dict[str, Sequence[Any]] = {name: axis["values"] for name, axis in config["axes"].items()}
-    values |= {name: value if isinstance(value, list) else [value] for name, value in config["settings"].items()}
+    values = {name: value if isinstance(value, list) else [value] for name, value in config["settings"].items()}
     values |= {name: [value] for name, value in point.items()} | dict(over)
     words = ["ovibjax", "sweep", what]
     for name, items in values.items():
@@ -214,7 +221,7 @@ def _run_command(config: Mapping[str, Any], values: Mapping[str, Sequence[Any]],
     """The command for a sweep that a Python file describes; the store knows the file by its name, not its folder."""
     file = config["function"].removeprefix("sweep_file.").rpartition(".")[0]
     # Numbers in full: rounded ones would be other points.
-    axes = [f"{name}={','.join(map(str, items))}" for name, items in values.items() if name in config["axes"]]
+    axes = [f"{name}={','.join(map(str, items))}" for name, items in values.items()]
     return shlex.join(["ovibjax", "sweep", "run", f"{file}.py", "--axis", *axes, "--out", out])
 
 

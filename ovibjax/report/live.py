@@ -78,7 +78,8 @@ def watch(
 
 def _look(dataset: xr.Dataset, at_s: float) -> Look:
     finished = dataset["finished"]
-    return Look(at_s, int(finished.sum()), int((finished & dataset["diverged"]).sum()), finished.size)
+    total = int(dataset.attrs.get("asked", finished.size))  # of a store that has grown, a hole need not be to come
+    return Look(at_s, int(finished.sum()), int((finished & dataset["diverged"]).sum()), total)
 
 
 def recent(looks: Sequence[Look], now_s: float) -> list[Look]:

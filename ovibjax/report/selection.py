@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ovibjax.errors import InputError
-from ovibjax.report.labels import axes_of, find, listing, matches, same_number
+from ovibjax.report.labels import axes_of, find, grid_dims, listing, matches, same_number
 from ovibjax.runtime.plain_numbers import plain_float
 
 _ORDER: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
@@ -52,8 +52,10 @@ def select(dataset: xr.Dataset, where: Sequence[str]) -> xr.Dataset:
 
     Raises:
         InputError: an entry of another form, an unknown axis, a value that the axis does not have, or no value that
-            keeps the condition.
+            keeps the condition; or there is no member yet.
     """
+    if any(dataset.sizes[dim] == 0 for dim in grid_dims(dataset)):
+        raise InputError("there is no member yet; start its command, or wait for the first (show --watch does)")
     for entry in where:
         axes, parts = axes_of(dataset), taken_apart(entry)
         if parts is None:

@@ -5,6 +5,8 @@ from .precision_choice import faster_precision as faster_precision
 from .progress import progress_bar as progress_bar
 from .threads import in_order as in_order
 from .threads import in_threads as in_threads
+from .threads import one_blas_thread as one_blas_thread
+from .threads import pool_threads as pool_threads
 from .threads import workers as workers
 
 __all__ = [
@@ -14,6 +16,8 @@ __all__ = [
     "in_order",
     "in_threads",
     "keep_compiled_programs",
+    "one_blas_thread",
+    "pool_threads",
     "progress_bar",
     "workers",
 ]

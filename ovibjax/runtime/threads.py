@@ -1,12 +1,19 @@
-"""Independent work on all cores: XLA keeps one core busy per small program and leaves the rest idle."""
+"""Independent work on all cores, and the threads inside of one piece of it, on which its last bits depend.
+
+XLA keeps one core busy per small program and leaves the rest idle.
+"""
 
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from functools import cache
 from typing import TypeVar
 
 import jax
+import scipy.linalg  # noqa: F401  jax calls its LAPACK on a CPU; what is not loaded cannot be limited
+from threadpoolctl import threadpool_limits
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -15,6 +22,25 @@ Result = TypeVar("Result")
 def workers() -> int:
     """Programs worth running at a time: one per core on a CPU, one on an accelerator."""
     return min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
+
+
+@cache
+def pool_threads() -> int:
+    """Threads that XLA splits sums and products among on a CPU; NPROC in the environment sets them before jax starts.
+
+    Returns:
+        Their number; the last bits of long sums depend on it.
+    """
+    given = os.environ.get("NPROC", "")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(int(given) if given.isdecimal() and int(given) else cores, jax.local_device_count())
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Keep BLAS and LAPACK, which jax calls on a CPU too, to one thread: then no bit depends on the number of cores."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
 
 
 def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

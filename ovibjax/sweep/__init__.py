@@ -19,11 +19,12 @@ list. `key` follows the axis `seed`, so that members of one seed draw the same n
 are paired. `shared` are data for all members; `Along` gives data per value of one axis. Outputs are arrays by name, of
 any shape; `dims`, `coords` and `units` label them. Members that are not finite are marked `diverged`.
 
-With `store="x.zarr"` members are on disk as soon as they are computed, and the same call goes on after a kill and ends
-with the same bits; a call that would compute something else is refused with what differs. `executor=on_ray()` computes
-chunks on a cluster, and several jax devices share them by themselves. Afterwards:
+With `store="x.zarr"` members are on disk within a second of being computed; the same call goes on after a kill and
+ends with the same bits, and another grid reads what the store has and adds what it lacks. A call that would compute
+something else is refused with what differs. `shard=(3, 16)` computes a sixteenth, `merge` joins stores,
+`executor=on_ray()` computes members on a cluster, and several jax devices share them by themselves. Afterwards:
 
-- `open_dataset(path)` reads a store, also while it is being written; `config_of(path)` says what it holds.
+- `open(path)` reads a store, also while it is being written; `config_of(path)` says what it holds.
 - `tree_of` makes a nested output (parameters, say) a tree again; `best` and `take` pick a member of it.
 
 The same from the shell, for a function in a file (`from_file.py`): `ovibjax sweep run mine.py --out x.zarr`.

@@ -2,6 +2,7 @@ from .cluster import on_ray as on_ray
 from .engine import Interrupted as Interrupted
 from .engine import run as run
 from .grid import Axis as Axis
+from .merging import merge as merge
 from .reading import open as open
 from .select import best as best
 from .select import take as take
@@ -16,6 +17,7 @@ __all__ = [
     "Interrupted",
     "best",
     "config_of",
+    "merge",
     "on_ray",
     "open",
     "open_dataset",

@@ -1,10 +1,11 @@
-"""Run a sweep: one compiled program, chunk after chunk, in memory or into a store that survives a kill.
+"""Run a sweep: one compiled program, batch after batch, in memory or into a store that grows and survives a kill.
 
 `fn(key, point, shared)` is a pure function of one member. Its key follows the member's `seed` (common random
 numbers: members of equal seed see the same draws), `point` holds its value on every axis, `shared` the data.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,23 +14,23 @@ import numpy as np
 import xarray
 
 from ovibjax.errors import InputError
-from ovibjax.runtime.threads import in_threads
-from ovibjax.sweep.grid import PADDING, Axis, Grid, make_chunks, make_grid
+from ovibjax.runtime.threads import in_threads, one_blas_thread, pool_threads
+from ovibjax.sweep.grid import Axis, Grid, make_grid
 from ovibjax.sweep.in_memory import InMemory
-from ovibjax.sweep.program import SEED, MemberFn, Shape, choose_shape, trace_member
-from ovibjax.sweep.schema import Schema, Variable, check
+from ovibjax.sweep.layout import Layout, Variable, compared, layout_of
+from ovibjax.sweep.program import SEED, Batch, MemberFn, choose_batch, next_power_of_two, trace_member
 from ovibjax.sweep.store import Store, config_of
-from ovibjax.sweep.work import Along, Block, Work, configuration
+from ovibjax.sweep.work import Along, Work, identity
 
-Executor = Callable[[Work, Sequence[int], Path | None], Iterator[tuple[int, Block | None]]]
-"""Computes chunks elsewhere: yields (chunk, its arrays), or (chunk, None) for one that a worker has stored itself."""
+Executor = Callable[[Work, Sequence[np.ndarray], Path | None], Iterator[tuple[int, np.ndarray | None]]]
+"""Computes batches elsewhere: yields (members finished, their rows), or None for rows that a worker has stored."""
 
 
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C came during a sweep; what was finished is kept.
 
     Attributes:
-        dataset: the finished members.
+        dataset: the grid, with the finished members.
     """
 
     def __init__(self, dataset: xarray.Dataset) -> None:
@@ -37,7 +38,7 @@ class Interrupted(KeyboardInterrupt):
         self.dataset = dataset
 
 
-# Many keywords, as each says one thing about a sweep that a caller may leave out; inside they become a schema, a shape
+# Many keywords, as each says one thing about a sweep that a caller may leave out; inside they become a layout, a batch
 # and a configuration at once.
 def run(
     fn: MemberFn,
@@ -50,8 +51,8 @@ def run(
     units: Mapping[str, str] | None = None,
     store: str | Path | Callable[[dict[str, Any]], Path] | None = None,
     settings: Mapping[str, Any] | None = None,
-    chunk: int | None = None,
     lanes: int | None = None,
+    shard: tuple[int, int] | None = None,
     executor: Executor | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> xarray.Dataset:
@@ -66,12 +67,13 @@ def run(
         dims: names of the trailing dimensions of outputs.
         coords: values (or `Axis`) of these dimensions.
         units: units of outputs.
-        store: a folder to write finished chunks to and to resume from, or a function that gives it from the sweep's
-            configuration; in memory only if None.
-        settings: whatever else identifies the sweep, JSON's types; kept in the store and compared on resuming.
-        chunk: members per chunk; chosen from memory if None.
-        lanes: members vmapped together; chosen if None.
-        executor: computes chunks elsewhere, e.g. `cluster.on_ray()`; this process if None.
+        store: a folder that holds finished members and to which the missing ones are added, or a function that gives
+            it from all that sweeps must have in common to share one; in memory only if None.
+        settings: whatever else identifies the sweep, JSON's types; kept in the store and compared.
+        lanes: members vmapped together; chosen if None. Bits depend on it, so that a store keeps its own.
+        shard: (i, n), i from 1 to n: compute every n-th member only, so that n processes that share a folder fill one
+            store without waiting for each other.
+        executor: computes batches elsewhere, e.g. `cluster.on_ray()`; this process if None.
         on_progress: called with members finished and members in all.
 
     Returns:
@@ -89,21 +91,34 @@ def run(
     """
     grid = make_grid(axes, zipped)
     outer = _outer_dimension(grid, shared)
+    mine = np.arange(grid.size) if shard is None else _shard(grid.size, *shard)
     example = {name: grid.codes(name)[0] for name in grid.axes}
-    outputs, cost = trace_member(fn, example, shared.values[0] if isinstance(shared, Along) else shared)
-    variables = _variables(outputs, dims or {}, units or {})
-    shape = _shape(grid, outer, cost, chunk, lanes, store if isinstance(store, str | Path) else None)
-    schema = Schema(grid, make_chunks(grid, outer, shape.rows, shape.columns), variables, _axes(coords or {}))
-    check(schema)
-    work = Work(fn, schema, shape, shared)
-    config = configuration(work, dict(settings or {}))
-    path = store(config) if callable(store) else store
-    with InMemory(schema, config) if path is None else Store.open(path, schema, config) as kept:
-        complete = _finish(work, kept, executor or _in_process, on_progress or (lambda done, total: None))
-        dataset = kept.dataset()
+    outputs, alive = trace_member(fn, example, shared.values[0] if isinstance(shared, Along) else shared)
+    layout = layout_of(grid, _variables(outputs, dims or {}, units or {}), _axes(coords or {}))
+    devices = jax.local_device_count()
+    # Workers elsewhere have one thread per device: those of one program gain little, and there is a worker per core.
+    threads = pool_threads() if executor is None else devices
+    work = Work(fn, grid, outer, _batch(grid, outer, shared, alive, lanes), devices, threads, shared)
+    given = dict(settings or {})
+    path = None if callable(store) else store
+    if callable(store):
+        path = store({**identity(work, given), **_of_its_own(work, layout)})
+    with one_blas_thread():
+        work = _settled(work, None if path is None else config_of(path), mine, lanes)
+        config = identity(work, given)
+        with InMemory(layout, config) if path is None else Store.open(path, layout, config) as kept:
+            complete = _finish(work, kept, mine, shard is None, executor or _in_process, on_progress or _silent)
+            dataset = kept.dataset(grid)
     if not complete:
         raise Interrupted(dataset)
     return dataset
+
+
+def _shard(size: int, i: int, n: int) -> np.ndarray:
+    """[m] members of one of n shards."""
+    if not 1 <= i <= n:
+        raise InputError(f"shard {i}/{n}: there are shards 1/{n} to {n}/{n}")
+    return np.arange(i - 1, size, n)
 
 
 def _outer_dimension(grid: Grid, shared: Any) -> int | None:
@@ -117,20 +132,40 @@ def _outer_dimension(grid: Grid, shared: Any) -> int | None:
     return grid.group_of(shared.axis)
 
 
-def _shape(
-    grid: Grid, outer: int | None, cost: tuple[int, int], chunk: int | None, lanes: int | None, store: str | Path | None
-) -> Shape:
-    """Size of a chunk: what the caller says, what a store was begun with, or what memory allows."""
-    if (chunk is not None and chunk < 1) or (lanes is not None and lanes < 1):
-        raise InputError("chunk and lanes are positive numbers of members")
-    held = config_of(store) if store is not None else None
-    if held is None or chunk is not None or lanes is not None or "execution" not in held:
-        return choose_shape(grid, outer, cost, chunk, lanes)
-    # Chunks as the store has them: memory may have chosen otherwise today, and bits depend on it.
-    shape = Shape(**held["execution"])
-    if shape.devices > jax.local_device_count():
-        raise InputError(f"{store} was begun on {shape.devices} devices; here are {jax.local_device_count()}")
-    return shape
+def _batch(grid: Grid, outer: int | None, shared: Any, alive_bytes: int, lanes: int | None) -> Batch:
+    """How members are put together: as the caller says, or by what a member needs."""
+    inner = None if outer is None else grid.size // grid.shape[outer]
+    if lanes is None:
+        own = jax.tree.leaves(shared.values[0]) if isinstance(shared, Along) else []
+        return choose_batch(alive_bytes, sum(np.asarray(leaf).nbytes for leaf in own), grid.size, inner)
+    if lanes < 1:
+        raise InputError("lanes is a positive number of members")
+    return Batch(lanes, inner is not None and inner >= lanes > 1)
+
+
+def _of_its_own(work: Work, layout: Layout) -> dict[str, Any]:
+    """What must be equal beside the identity lest a sweep be refused: outputs, data, and names by their numbers."""
+    names = {name: np.asarray(work.grid.axes[name].values).tolist() for name in sorted(layout.named)}
+    return {"layout": compared(layout), "first_data": work.digests[0].hex(), "names": names}
+
+
+def _settled(work: Work, held: dict[str, Any] | None, members: np.ndarray, lanes: int | None) -> Work:
+    """The work as a store was begun with it; where there is none, one whose members' bits depend on no place."""
+    held = held or {}
+    work = _with(work, threads=held.get("environment", {}).get("threads", work.threads))
+    if lanes is None and held.get("execution", {}).keys() == asdict(work.batch).keys():
+        return _with(work, batch=Batch(**held["execution"]))
+    # Where the machine code of a batch treats its places differently, whole vectors may help, and a batch of one does.
+    for batch in (work.batch, replace(work.batch, lanes=next_power_of_two(work.batch.lanes)), Batch(1, False)):
+        work = _with(work, batch=batch)
+        if work.places_agree(members):
+            break
+    return work
+
+
+def _with(work: Work, **changes: Any) -> Work:
+    """Changed work; what is changed to itself keeps its program."""
+    return work if all(getattr(work, name) == value for name, value in changes.items()) else replace(work, **changes)
 
 
 def _variables(
@@ -155,28 +190,62 @@ def _axes(coords: Mapping[str, Any]) -> dict[str, Axis]:
     return {name: axis if isinstance(axis, Axis) else Axis(np.asarray(axis).tolist()) for name, axis in coords.items()}
 
 
-def _finish(work: Work, kept: Store | InMemory, compute: Executor, on_progress: Callable[[int, int], None]) -> bool:
-    """Compute and keep the chunks that are not finished; False if Ctrl-C came before the last."""
-    done = kept.finished()
-    real = (work.schema.chunks.members != PADDING).sum(axis=(1, 2))
+def _finish(
+    work: Work,
+    kept: Store | InMemory,
+    mine: np.ndarray,
+    whole: bool,
+    compute: Executor,
+    on_progress: Callable[[int, int], None],
+) -> bool:
+    """Compute and keep the members that are missing; False if Ctrl-C came before the last."""
+    data = [work.digests[i] for i in work.data_of(np.arange(work.grid.size))]
+
+    def lacking() -> np.ndarray:
+        return np.intersect1d(kept.missing(work.grid, data), mine)
+
+    missing = lacking()
+    if len(missing) and compute is _in_process:
+        _require_threads(work, kept.path)
+    if len(missing) and whole:  # who only reads needs no lock, nor a disk that can be written
+        kept.lock()
+        missing = lacking()
+    if len(missing):
+        kept.announce(work.grid)
+    done = len(mine) - len(missing)
     try:
-        on_progress(int(real[done].sum()), work.schema.grid.size)
-        for i, block in compute(work, np.flatnonzero(~done).tolist(), kept.path):
-            if block is not None:
-                kept.write(i, block.arrays, block.diverged)
-            done[i] = True
-            on_progress(int(real[done].sum()), work.schema.grid.size)
+        on_progress(done, len(mine))
+        for count, rows in compute(work, work.lots(missing), kept.path):
+            if rows is not None:
+                kept.add(rows)
+            done += count
+            on_progress(done, len(mine))
     except KeyboardInterrupt:
         return False
+    finally:
+        if compute is not _in_process:
+            kept.read()  # what workers have stored
     return True
 
 
-def _in_process(work: Work, pending: Sequence[int], _: Path | None) -> Iterator[tuple[int, Block]]:
-    """Chunks on this machine: one per core at a time, or one after another over all devices."""
+def _require_threads(work: Work, path: Path | None) -> None:
+    """Refuse to add members with other last bits than the same ones of a store would have."""
+    if work.threads != pool_threads() and jax.default_backend() == "cpu":
+        raise InputError(
+            f"{path}: its members were computed by programs of {work.threads} threads, and bits depend on it; here are "
+            f"{pool_threads()}: start with NPROC={work.threads} in the environment, or --threads {work.threads}"
+        )
 
-    def one(i: int) -> tuple[int, Block]:
-        return i, work.compute(i)
 
-    if work.shape.devices > 1:
-        return map(one, pending)
-    return in_threads(one, pending)
+def _silent(done: int, total: int) -> None:
+    """Tell nobody how far it is."""
+
+
+def _in_process(work: Work, lots: Sequence[np.ndarray], _: Path | None) -> Iterator[tuple[int, np.ndarray]]:
+    """Batches on this machine: one per core at a time, or one after another over all devices."""
+
+    def one(lot: np.ndarray) -> tuple[int, np.ndarray]:
+        rows = work.compute(lot)
+        return len(rows), rows
+
+    return map(one, lots) if work.devices > 1 else in_threads(one, lots)

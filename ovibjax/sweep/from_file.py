@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
 from ovibjax.errors import InputError
 from ovibjax.runtime.python_files import import_file, told
@@ -114,30 +112,21 @@ def data_of(file: SweepFile, axes: Mapping[str, Axis]) -> Any:
         return shared if told_axes else _entries_of(shared, file.axes, axes)
 
 
-def member_of(file: SweepFile, axes: Mapping[str, Axis]) -> MemberFn:
+def member_of(file: SweepFile) -> MemberFn:
     """The file's member function as `engine.run` wants it.
-
-    Names of an axis are passed as their place in the file's list, whichever of them are asked for.
 
     Args:
         file: what the file says.
-        axes: the axes asked for; names are among the file's.
 
     Returns:
         A member function of the file's module and of its name, whose errors are one line.
     """
     fn, path = file.member, file.path
-    places = {
-        name: np.array([list(file.axes[name].values).index(value) for value in axis.values], np.int32)
-        for name, axis in axes.items()
-        if np.asarray(axis.values).dtype.kind == "U" and tuple(axis.values) != tuple(file.axes[name].values)
-    }
 
     def member(key: jax.Array, point: dict[str, jax.Array], shared: Any) -> Mapping[str, Any]:
-        given = {**point, **{name: jnp.asarray(order)[point[name]] for name, order in places.items()}}
         with _about(path):
             try:
-                outputs = fn(key, given, shared)
+                outputs = fn(key, point, shared)
             except Exception as error:
                 raise InputError(fault(error, path, list(point))) from error
             check_outputs(outputs)

@@ -1,9 +1,4 @@
-"""A grid of members: named axes, and the order in which blocks of members are computed.
-
-One axis is the outer one: the axis that data differ along (usually the seed). Members of one outer value share their
-data and their random numbers. A chunk is a block of `rows` outer values times `columns` inner points; all chunks have
-the same shape, the last ones are padded by repetition and the padding is dropped.
-"""
+"""A grid of members: named axes and the dimensions that they span."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,9 +7,6 @@ from typing import Any
 import numpy as np
 
 from ovibjax.errors import InputError
-
-PADDING = -1
-"""Entry of `Chunks.members` that holds no member."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +17,12 @@ class Axis:
         values: numbers (floats are passed as float32, integers as int32, booleans as bool), or names (passed as their
             index, int32).
         unit: unit of the values, e.g. "m"; empty for none.
+        numbers: index of each name where it is not its position, as in a few names of a longer list.
     """
 
     values: Sequence[Any]
     unit: str = ""
+    numbers: Sequence[int] | None = None
 
 
 @dataclass(frozen=True)
@@ -62,11 +56,16 @@ class Grid:
         """Position of the dimension an axis belongs to."""
         return next(i for i, group in enumerate(self.groups) if axis in group)
 
+    def has_names(self, axis: str) -> bool:
+        """Whether the values of an axis are names, which the member function sees as their index."""
+        return np.asarray(self.axes[axis].values).dtype.kind == "U"
+
     def codes(self, axis: str) -> np.ndarray:
         """Values of one axis as the member function sees them: float32, int32 or bool."""
         values = np.asarray(self.axes[axis].values)
-        if values.dtype.kind == "U":
-            return np.arange(len(values), dtype=np.int32)
+        if self.has_names(axis):
+            numbers = self.axes[axis].numbers
+            return np.arange(len(values), dtype=np.int32) if numbers is None else np.asarray(numbers, np.int32)
         return values.astype({"f": np.float32, "i": np.int32, "u": np.int32, "b": np.bool_}[values.dtype.kind])
 
     def points(self, members: np.ndarray, axes: Sequence[str]) -> dict[str, np.ndarray]:
@@ -149,6 +148,8 @@ def _check(name: str, axis: Axis) -> None:
     values = _array(name, axis.values)
     if values.ndim != 1 or values.dtype.kind not in "fiubU":
         raise InputError(f"axis {name}: values are numbers or names, all of one kind, not {axis.values!r}")
+    if axis.numbers is not None and (values.dtype.kind != "U" or len(axis.numbers) != len(values)):
+        raise InputError(f"axis {name}: numbers are those of names, one of each")
     if values.dtype.kind == "f" and not (np.abs(values) <= np.finfo(np.float32).max).all():
         odd = values[~(np.abs(values) <= np.finfo(np.float32).max)][0]
         raise InputError(f"axis {name}: {odd} is not a finite number of 32 bits")
@@ -156,41 +157,3 @@ def _check(name: str, axis: Axis) -> None:
         odd = next((v for v in values.tolist() if abs(v) > 2**31 - 1), None)
         if odd is not None:
             raise InputError(f"axis {name}: {odd} does not fit 32 bits")
-
-
-@dataclass(frozen=True)
-class Chunks:
-    """Equal blocks that cover a grid.
-
-    Attributes:
-        outer: position of the outer dimension, None if there is none.
-        rows: outer values per chunk.
-        columns: inner points per chunk.
-        members: [chunks, rows, columns] flat grid indices; `PADDING` where the block reaches over the edge.
-    """
-
-    outer: int | None
-    rows: int
-    columns: int
-    members: np.ndarray
-
-
-def make_chunks(grid: Grid, outer: int | None, rows: int, columns: int) -> Chunks:
-    """Cut a grid into blocks.
-
-    Args:
-        grid: the grid.
-        outer: position of the outer dimension; None makes every member an inner point.
-        rows: outer values per chunk, 1 without an outer dimension.
-        columns: inner points per chunk.
-
-    Returns:
-        The chunks, outer values slowest.
-    """
-    index = np.arange(grid.size).reshape(grid.shape)
-    table = index.reshape(1, -1) if outer is None else np.moveaxis(index, outer, 0).reshape(grid.shape[outer], -1)
-    n_rows, n_columns = -(-table.shape[0] // rows), -(-table.shape[1] // columns)
-    padded = np.full((n_rows * rows, n_columns * columns), PADDING)
-    padded[: table.shape[0], : table.shape[1]] = table
-    blocks = padded.reshape(n_rows, rows, n_columns, columns).transpose(0, 2, 1, 3)
-    return Chunks(outer, rows, columns, blocks.reshape(-1, rows, columns))

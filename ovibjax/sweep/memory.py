@@ -1,10 +1,7 @@
-"""How much memory a member needs, read off its program before anything is compiled, and how much there is."""
+"""How much memory a member needs, read off its program before anything is compiled."""
 
-import os
-from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jax.extend import core as jex
 
@@ -12,7 +9,7 @@ from jax.extend import core as jex
 def live_bytes(jaxpr: jex.ClosedJaxpr) -> int:
     """Largest total size of values that are alive at once, inputs left out.
 
-    The compiler reuses buffers and fuses operations, so this is an estimate from above, good enough to size chunks.
+    The compiler reuses buffers and fuses operations, so this is an estimate from above, good enough to size batches.
 
     Args:
         jaxpr: a traced function.
@@ -42,7 +39,7 @@ def _peak(jaxpr: Any) -> int:
             last[variable] = len(jaxpr.eqns)
     alive, peak, made = 0, 0, set()
     for i, eqn in enumerate(jaxpr.eqns):
-        inner = max((_peak(sub) for sub in _subprograms(eqn)), default=0)
+        inner = max((_peak(sub) for sub in subprograms(eqn)), default=0)
         for variable in eqn.outvars:
             alive += _size(variable)
             made.add(variable)
@@ -53,7 +50,8 @@ def _peak(jaxpr: Any) -> int:
     return peak
 
 
-def _subprograms(eqn: Any) -> list[Any]:
+def subprograms(eqn: Any) -> list[Any]:
+    """Programs inside an equation of one."""
     found = []
     for value in eqn.params.values():
         for item in value if isinstance(value, (tuple, list)) else (value,):
@@ -62,16 +60,3 @@ def _subprograms(eqn: Any) -> list[Any]:
             elif isinstance(item, jex.Jaxpr):
                 found.append(item)
     return found
-
-
-def available_bytes(device: jax.Device) -> int:
-    """Memory that is free on a device: of the accelerator, or of the machine."""
-    stats = device.memory_stats() if device.platform != "cpu" else None
-    if stats and "bytes_limit" in stats:
-        return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0))
-    meminfo = Path("/proc/meminfo")
-    if meminfo.exists():
-        for line in meminfo.read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2

@@ -1,11 +1,15 @@
-"""One compiled program that computes any chunk of a sweep, and the choice of the chunk's size.
+"""The compiled program of a sweep: one batch of members, of one size whatever the grid.
 
-Members of a chunk are vmapped `lanes` at a time and otherwise run in turn inside the program. On a CPU, where a large
-member gains nothing from company and loses the cache, lanes follow from how much memory a member keeps alive; on an
-accelerator as many run together as fit. Several devices split the inner points (or the outer values) of a chunk.
+A batch is `lanes` members side by side on every device. On a CPU its size follows from the member alone: a large member
+gains nothing from company and loses the cache, so that it runs alone, and small ones share a batch, whatever their
+points. An accelerator is filled: as many members as fit and as the grid has, of one outer value (its data and random
+numbers are there once) where it has that many. A store keeps the size that it was begun with. The grid of a later
+command, its shard and the memory that happens to be free change nothing: a member is computed by the same program
+whoever asks for it, and gives the same bits.
 """
 
 import hashlib
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,9 +22,7 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
 from ovibjax.errors import InputError
-from ovibjax.runtime.threads import workers
-from ovibjax.sweep.grid import Grid
-from ovibjax.sweep.memory import available_bytes, live_bytes
+from ovibjax.sweep.memory import live_bytes, subprograms
 
 MemberFn = Callable[[jax.Array, dict[str, jax.Array], Any], Mapping[str, Any]]
 """`fn(key, point, shared) -> dict of arrays`, pure."""
@@ -30,8 +32,13 @@ SEED = "seed"
 
 # Members that keep less alive than a core's cache share it; a larger one has it for itself.
 _CACHE_BYTES = 1 << 20
-_MEMORY_SHARE = 0.5
-_MAX_CHUNKS = 1024
+# Places of a batch that stay empty cost as much as full ones: beyond this many, starting a program costs no more.
+_MOST_LANES_CPU = 64
+# What a batch may keep alive on an accelerator; not what is free today.
+_DEVICE_BYTES = 8 << 30
+_LEAST_LANES, _MOST_LANES = 8, 1024
+# Data that the members of a batch bring along on a CPU.
+_OWN_BYTES = 64 << 20
 
 _compiled: dict[str, Any] = {}
 _compiling = threading.Lock()
@@ -40,20 +47,16 @@ compilations = 0
 
 
 @dataclass(frozen=True)
-class Shape:
-    """Size of a chunk and how it is computed; part of a store's configuration, because bits depend on it.
+class Batch:
+    """How members are put together: what their bits depend on beside the member function.
 
     Attributes:
-        rows: outer values per chunk.
-        columns: inner points per chunk.
         lanes: members vmapped together on one device.
-        devices: devices that share a chunk.
+        grouped: whether all of them have the same outer value.
     """
 
-    rows: int
-    columns: int
     lanes: int
-    devices: int
+    grouped: bool
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -73,54 +76,7 @@ def member(fn: MemberFn, point: dict[str, jax.Array], shared: Any) -> dict[str, 
     return {name: jnp.asarray(value) for name, value in flatten(fn(key, point, shared)).items()}
 
 
-def chunk_function(fn: MemberFn, shape: Shape, along: bool) -> Callable[..., Any]:
-    """The function of one chunk, sharded over devices where there are several.
-
-    Args:
-        fn: the member function.
-        shape: size of the chunk.
-        along: whether shared data have a leading axis of outer values.
-
-    Returns:
-        A function of outer points [rows], inner points [columns] and shared data, that returns [rows, columns, ...].
-    """
-    by_columns = shape.columns % shape.devices == 0
-    rows, columns = (
-        (shape.rows, shape.columns // shape.devices) if by_columns else (shape.rows // shape.devices, shape.columns)
-    )
-
-    def block(outer: Any, inner: Any, shared: Any) -> Any:
-        def row(operand: Any) -> Any:
-            outer_point, data = operand
-            return _map(lambda point: member(fn, {**outer_point, **point}, data), inner, columns, shape.lanes)
-
-        row_lanes = shape.lanes // columns
-
-        if along:
-            return _map(row, (outer, shared), rows, row_lanes)
-        return _map(lambda outer_point: row((outer_point, shared)), outer, rows, row_lanes)
-
-    if shape.devices == 1:
-        return block
-    mesh = Mesh(np.array(jax.local_devices()[: shape.devices]), ("members",))
-    split = P("members")
-    specs = (P(), split, P()) if by_columns else (split, P(), split if along else P())
-    out = P(None, "members") if by_columns else split
-    return jax.shard_map(block, mesh=mesh, in_specs=specs, out_specs=out, check_vma=False)
-
-
-def _map(function: Callable[[Any], Any], xs: Any, size: int, lanes: int) -> Any:
-    """`vmap` where all fit side by side, in turn where nothing does, groups in between."""
-    if size == 1:  # no batch axis at all: the program of a single member
-        return jax.tree.map(lambda y: y[None], function(jax.tree.map(lambda x: x[0], xs)))
-    if not jax.tree.leaves(xs):  # no axis to map over: all are the same
-        return jax.tree.map(lambda y: jnp.broadcast_to(y, (size, *y.shape)), function(xs))
-    if lanes >= size:
-        return jax.vmap(function)(xs)
-    return jax.lax.map(function, xs, batch_size=lanes if lanes > 1 else None)
-
-
-def trace_member(fn: MemberFn, point: dict[str, Any], shared: Any) -> tuple[dict[str, Any], tuple[int, int]]:
+def trace_member(fn: MemberFn, point: dict[str, Any], shared: Any) -> tuple[dict[str, Any], int]:
     """Look at one member without running it.
 
     Args:
@@ -129,85 +85,128 @@ def trace_member(fn: MemberFn, point: dict[str, Any], shared: Any) -> tuple[dict
         shared: data.
 
     Returns:
-        Shape and type of each output; bytes it keeps alive while it runs, and bytes of its outputs.
+        Shape and type of each output; bytes that it keeps alive while it runs, outputs included (no bound if it calls
+        a function of the host, which need not know batches and gains nothing from them).
     """
     traced = jax.make_jaxpr(lambda p, s: member(fn, p, s), return_shape=True)
     jaxpr, outputs = traced(point, shared)
     size = sum(int(np.prod(aval.shape)) * aval.dtype.itemsize for aval in jaxpr.out_avals)
-    return outputs, (live_bytes(jaxpr), size)
+    return outputs, sys.maxsize if _calls_host(jaxpr.jaxpr) else live_bytes(jaxpr) + size
 
 
-def choose_shape(grid: Grid, outer: int | None, cost: tuple[int, int], chunk: int | None, lanes: int | None) -> Shape:
-    """Size of a chunk from memory and number of devices.
+def _calls_host(jaxpr: Any) -> bool:
+    return any("callback" in eqn.primitive.name or any(map(_calls_host, subprograms(eqn))) for eqn in jaxpr.eqns)
+
+
+def choose_batch(alive_bytes: int, own_bytes: int, members: int, inner: int | None) -> Batch:
+    """How members are put together, from what one keeps alive and the kind of device.
 
     Args:
-        grid: the grid.
-        outer: position of its outer dimension, or None.
-        cost: bytes a member keeps alive, bytes of its outputs.
-        chunk: members per chunk, chosen if None.
-        lanes: members vmapped together, chosen if None.
+        alive_bytes: see `trace_member`.
+        own_bytes: size of the data that each outer value has for itself; 0 where they do not differ.
+        members: members of the grid.
+        inner: members of each outer value; None without an outer dimension.
 
     Returns:
-        The shape; `rows` grows beyond 1 only when a chunk holds all inner points.
+        The batch; its lanes are a power of two.
     """
-    devices = jax.local_devices()
-    n_outer = 1 if outer is None else grid.shape[outer]
-    n_inner = grid.size // n_outer
-    alive, output = max(cost[0], 1), cost[1]
-    at_once = len(devices) if len(devices) > 1 else workers()
-    fit = max(1, int(_MEMORY_SHARE * available_bytes(devices[0]) / (alive + output) / at_once))
-    on_cpu = devices[0].platform == "cpu"
-    if lanes is None:
-        lanes = min(fit, _CACHE_BYTES // alive) if on_cpu else fit
-    lanes = max(1, min(lanes, chunk or grid.size, grid.size))
-    if chunk is None:
-        # Small enough that every worker has several and little is lost when one is interrupted, yet not too many.
-        chunk = max(lanes * len(devices), -(-grid.size // _MAX_CHUNKS))
-    by_columns = n_inner >= len(devices) or n_outer == 1
-    column_devices, row_devices = (len(devices), 1) if by_columns else (1, len(devices))
-    # Whole groups of lanes on every device: a remainder would be a second program inside the first.
-    per_device = -(-min(chunk, n_inner) // column_devices)
-    side_by_side = min(lanes, per_device)
-    columns = -(-per_device // side_by_side) * side_by_side * column_devices
-    row_lanes = max(1, lanes // per_device) if side_by_side == per_device else 1
-    rows_per_device = -(-min(max(1, chunk // columns), n_outer) // row_devices)
-    row_lanes = min(row_lanes, rows_per_device)
-    rows = -(-rows_per_device // row_lanes) * row_lanes * row_devices
-    return Shape(rows, columns, side_by_side * row_lanes, len(devices))
+    alive_bytes = max(alive_bytes, 1)
+    if jax.default_backend() == "cpu":
+        lanes = min(_CACHE_BYTES // alive_bytes, _MOST_LANES_CPU)
+        if own_bytes:  # each member of a batch brings its own
+            lanes = min(lanes, _OWN_BYTES // own_bytes)
+        return Batch(_power_of_two(lanes), False)
+    lanes = _power_of_two(min(_DEVICE_BYTES // alive_bytes, _MOST_LANES))
+    if inner is not None and inner >= lanes > 1:
+        return Batch(lanes, True)
+    wanted = max(_LEAST_LANES, next_power_of_two(members))
+    return Batch(_power_of_two(min(_DEVICE_BYTES // (alive_bytes + own_bytes), _MOST_LANES, wanted)), False)
+
+
+def _power_of_two(most: int) -> int:
+    """The largest power of two up to a number, at least 1."""
+    return 1 << max(0, most.bit_length() - 1)
+
+
+def next_power_of_two(least: int) -> int:
+    """The smallest power of two from a positive number on."""
+    return 1 << (least - 1).bit_length()
+
+
+def batch_function(
+    fn: MemberFn, batch: Batch, outer: tuple[str, ...], along: bool, devices: int
+) -> Callable[[dict[str, jax.Array], Any], dict[str, jax.Array]]:
+    """The function of one batch, shared among devices where there are several.
+
+    Args:
+        fn: the member function.
+        batch: how members are put together.
+        outer: axes of the outer dimension.
+        along: whether data differ along it.
+        devices: devices D.
+
+    Returns:
+        A function of points [D * lanes] and data, which lead with [D * lanes], or with [D] where the batch is grouped,
+        if they differ; of outputs [D * lanes, ...].
+    """
+
+    def together(points: dict[str, jax.Array], shared: Any) -> dict[str, jax.Array]:
+        def first(tree: Any) -> Any:
+            return jax.tree.map(lambda leaf: leaf[0], tree)
+
+        if batch.lanes == 1:  # no batch axis at all: the program of a single member
+            found = member(fn, first(points), first(shared) if along else shared)
+            return jax.tree.map(lambda leaf: leaf[None], found)
+        if batch.grouped:
+            common = {name: points[name][0] for name in outer}
+            inner = {name: values for name, values in points.items() if name not in outer}
+            data = first(shared) if along else shared
+            if not inner:
+                found = member(fn, common, data)
+                return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch.lanes, *leaf.shape)), found)
+            return jax.vmap(lambda point: member(fn, {**common, **point}, data))(inner)
+        return jax.vmap(lambda point, data: member(fn, point, data), (0, 0 if along else None))(points, shared)
+
+    if devices == 1:
+        return together
+    mesh = Mesh(np.array(jax.local_devices()[:devices]), ("members",))
+    split = P("members")
+    specs = (split, split if along else P())
+    return jax.shard_map(together, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
 
 
 class Program:
-    """A compiled chunk; callable from several threads.
+    """A compiled batch; callable from several threads.
 
     Attributes:
         text_hash: hash of the program's text, which changes when the member function or its static settings do.
+        key: what tells it from every other program of this process.
     """
 
-    def __init__(self, fn: MemberFn, shape: Shape, along: bool, arguments: Any) -> None:
+    def __init__(self, function: Callable[..., Any], fn: MemberFn, devices: int, arguments: Any) -> None:
         """Lower for arguments of these shapes; compiled at the first call, once per process."""
         # An argument that is dropped because it is unused would leave two functions of different ones with equal text.
-        self._lowered = jax.jit(chunk_function(fn, shape, along), keep_unused=True).lower(*arguments)
+        self._lowered = jax.jit(function, keep_unused=True).lower(*arguments)
         text = self._lowered.as_text()
         self.text_hash = hashlib.sha256(text.encode()).hexdigest()
         names = jax.tree.structure(arguments)  # the text does not have them
         # Nor does it say which host function a callback calls.
         callback = id(fn) if "callback" in text else 0
-        self._key = f"{self.text_hash} {callback} {names} {[d.id for d in jax.local_devices()[: shape.devices]]}"
+        self.key = f"{self.text_hash} {callback} {names} {[d.id for d in jax.local_devices()[:devices]]}"
 
-    def __call__(self, outer: Any, inner: Any, shared: Any) -> dict[str, np.ndarray]:
-        """Compute one chunk.
+    def __call__(self, points: dict[str, np.ndarray], shared: Any) -> dict[str, np.ndarray]:
+        """Compute one batch.
 
         Args:
-            outer: outer values of each axis, [rows].
-            inner: inner values of each axis, [columns].
+            points: a value of each axis per member.
             shared: data.
 
         Returns:
-            Outputs [rows, columns, ...] on the host.
+            Outputs per member on the host.
         """
         global compilations
         with _compiling:
-            if self._key not in _compiled:
-                _compiled[self._key] = self._lowered.compile()
+            if self.key not in _compiled:
+                _compiled[self.key] = self._lowered.compile()
                 compilations += 1
-        return jax.device_get(_compiled[self._key](outer, inner, shared))
+        return jax.device_get(_compiled[self.key](points, shared))

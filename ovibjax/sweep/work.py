@@ -1,7 +1,5 @@
-"""One sweep as work that can be done chunk by chunk, here or in another process."""
+"""One sweep as work that can be done batch by batch, here or in another process."""
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property, lru_cache, partial
@@ -10,9 +8,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from ovibjax.sweep.grid import PADDING
-from ovibjax.sweep.program import MemberFn, Program, Shape
-from ovibjax.sweep.schema import Schema
+from ovibjax.sweep.grid import Grid
+from ovibjax.sweep.members import data_digest, rows_of
+from ovibjax.sweep.program import Batch, MemberFn, Program, batch_function
+
+PADDING = -1
+"""Entry of a lot that holds no member."""
+
+_agreed: dict[str, bool] = {}
 
 
 @dataclass(frozen=True)
@@ -29,98 +32,174 @@ class Along:
 
 
 @dataclass(frozen=True)
-class Block:
-    """What one chunk gives.
-
-    Attributes:
-        arrays: outputs [rows, columns, ...].
-        diverged: [rows, columns] bool; True where a member has any output that is not finite.
-    """
-
-    arrays: dict[str, np.ndarray]
-    diverged: np.ndarray
-
-
-@dataclass(frozen=True)
 class Work:
-    """Everything that computing a chunk needs; can be sent to another process.
+    """Everything that computing a member needs; can be sent to another process.
 
     Attributes:
         fn: the member function.
-        schema: the grid and its chunks.
-        shape: size of a chunk.
+        grid: the members that are asked for.
+        outer: position of the outer dimension, or None.
+        batch: how members are put together.
+        devices: devices that share a batch.
+        threads: see `pool_threads`; of the process that computes.
         shared: data, or `Along`.
     """
 
     fn: MemberFn
-    schema: Schema
-    shape: Shape
+    grid: Grid
+    outer: int | None
+    batch: Batch
+    devices: int
+    threads: int
     shared: Any
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what is cached: a program stays in its process.
         return {field.name: self.__dict__[field.name] for field in fields(self)}
 
-    def arguments(self, chunk: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Any]:
-        """Outer points [rows], inner points [columns] and data of a chunk; padding repeats the first member."""
-        grid, chunks = self.schema.grid, self.schema.chunks
-        members = chunks.members[chunk]
-        rows, columns = members.max(axis=1), members.max(axis=0)
-        rows, columns = np.where(rows == PADDING, rows[0], rows), np.where(columns == PADDING, columns[0], columns)
-        outer = () if chunks.outer is None else grid.groups[chunks.outer]
-        inner = [name for name in grid.axes if name not in outer]
-        points = grid.points(rows, outer), grid.points(columns, inner)
+    def lots(self, members: np.ndarray) -> list[np.ndarray]:
+        """Members as batches.
+
+        Args:
+            members: [n] flat indices into the grid.
+
+        Returns:
+            Batches [devices, lanes] of them, padded with `PADDING`; outer values slowest.
+        """
+        lanes, devices = self.batch.lanes, self.devices
+        at = np.zeros(len(members), int) if self.outer is None else self._outer_of(members)
+        members = members[np.argsort(at, kind="stable")]
+        if self.batch.grouped:
+            at = np.sort(at, kind="stable")
+            parts = [members[at == value] for value in np.unique(at)]
+            rows = [part[i : i + lanes] for part in parts for i in range(0, len(part), lanes)]
+        else:
+            rows = [members[i : i + lanes] for i in range(0, len(members), lanes)]
+        table = np.full((-(-len(rows) // devices) * devices, lanes), PADDING)
+        for row, part in zip(table, rows, strict=False):
+            row[: len(part)] = part
+        return list(table.reshape(-1, devices, lanes))
+
+    def arguments(self, lot: np.ndarray) -> tuple[dict[str, np.ndarray], Any]:
+        """Points [devices * lanes] and data of a batch."""
+        members = _filled(lot)
+        points = self.grid.points(members.ravel(), list(self.grid.axes))
         if not isinstance(self.shared, Along):
-            return *points, self.shared
-        assert chunks.outer is not None
-        return *points, self._stack(tuple(np.unravel_index(rows, grid.shape)[chunks.outer].tolist()))
+            return points, self._common
+        each = members[:, 0] if self.batch.grouped else members.ravel()
+        return points, self._stack(tuple(self._outer_of(each).tolist()))
+
+    def compute(self, lot: np.ndarray) -> np.ndarray:
+        """The members of a batch as rows, on the host."""
+        real = lot.ravel() != PADDING
+        outputs = {name: values[real] for name, values in self._outputs(lot).items()}
+        diverged = np.zeros(int(real.sum()), bool)
+        for values in outputs.values():
+            if values.dtype.kind == "f":
+                diverged |= ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+        members = lot.ravel()[real]
+        return rows_of(self.grid, members, [self.digests[i] for i in self.data_of(members)], outputs, diverged)
+
+    def places_agree(self, members: np.ndarray) -> bool:
+        """Whether a member's bits do not depend on its place in a batch: the first batch forwards and backwards.
+
+        Machine code may treat the last few of many numbers otherwise than the others.
+
+        Args:
+            members: [n] flat indices into the grid, of which the first batch is looked at.
+
+        Returns:
+            True if all copies of a member are equal; looked at once per program and process.
+        """
+        if self.batch.lanes == 1 or not len(members):
+            return True
+        if self.program.key not in _agreed:
+            lot = self.lots(members)[0]
+            one, other = _filled(lot), _filled(lot)[:, ::-1]
+            found, again = self._outputs(lot), self.program(*self.arguments(other))
+            _agreed[self.program.key] = all(
+                _are_equal([*values[one.ravel() == member], *again[name][other.ravel() == member]])
+                for name, values in found.items()
+                for member in np.unique(one)
+            )
+            self._known[lot.tobytes()] = found  # it is computed next
+        return _agreed[self.program.key]
+
+    def _outputs(self, lot: np.ndarray) -> dict[str, np.ndarray]:
+        return self._known.pop(lot.tobytes(), None) or self.program(*self.arguments(lot))
+
+    @cached_property
+    def _known(self) -> dict[bytes, dict[str, np.ndarray]]:
+        """Outputs of batches that were computed before anybody asked for them."""
+        return {}
+
+    def data_of(self, members: np.ndarray) -> list[int]:
+        """Which of `digests` belongs to each member."""
+        return self._outer_of(members).tolist() if isinstance(self.shared, Along) else [0] * len(members)
+
+    @cached_property
+    def digests(self) -> list[bytes]:
+        """What identifies the data of each outer value, or of all members."""
+        return [data_digest(d) for d in (self.shared.values if isinstance(self.shared, Along) else [self.shared])]
+
+    @cached_property
+    def program(self) -> Program:
+        """The program of every batch, lowered."""
+        return self._program(self.devices)
+
+    @cached_property
+    def text_hash(self) -> str:
+        """Hash of the program's text on one device: what a machine's size does not change."""
+        return (self.program if self.devices == 1 else self._program(1)).text_hash
+
+    def _program(self, devices: int) -> Program:
+        along = isinstance(self.shared, Along)
+        outer = () if self.outer is None else self.grid.groups[self.outer]
+        function = batch_function(self.fn, self.batch, outer, along, devices)
+        return Program(function, self.fn, devices, self.arguments(np.zeros((devices, self.batch.lanes), int)))
+
+    @cached_property
+    def _common(self) -> Any:
+        return self.shared if self.devices > 1 else jax.device_put(self.shared)
 
     @cached_property
     def _stack(self) -> Callable[[tuple[int, ...]], Any]:
-        # A few blocks at a time: chunks of one outer value follow each other.
+        # A few batches at a time: those of one outer value follow each other.
         return lru_cache(maxsize=4)(
             lambda index: jax.tree.map(lambda *leaves: np.stack(leaves), *(self.shared.values[i] for i in index))
         )
 
-    @cached_property
-    def program(self) -> Program:
-        """The program of every chunk, lowered."""
-        return Program(self.fn, self.shape, isinstance(self.shared, Along), self.arguments(0))
-
-    def compute(self, chunk: int) -> Block:
-        """One chunk, on the host."""
-        arrays = self.program(*self.arguments(chunk))
-        diverged = np.zeros(self.schema.chunks.members.shape[1:], bool)
-        for values in arrays.values():
-            if values.dtype.kind == "f":
-                diverged |= ~np.isfinite(values).all(axis=tuple(range(2, values.ndim)))
-        return Block(arrays, diverged)
+    def _outer_of(self, members: np.ndarray) -> np.ndarray:
+        assert self.outer is not None
+        return np.unravel_index(members, self.grid.shape)[self.outer]
 
 
-def configuration(work: Work, settings: dict[str, Any]) -> dict[str, Any]:
-    """What identifies a sweep: everything that its bits depend on, as JSON."""
-    grid = work.schema.grid
+def _filled(lot: np.ndarray) -> np.ndarray:
+    """A batch with members in all places: the first of its row, or of all, again where there was none."""
+    heads = np.where(lot[:, :1] == PADDING, lot[0, 0], lot[:, :1])
+    return np.where(lot == PADDING, heads, lot)
+
+
+def _are_equal(arrays: Sequence[np.ndarray]) -> bool:
+    """Whether arrays are equal bit for bit."""
+    return len({np.ascontiguousarray(array).tobytes() for array in arrays}) == 1
+
+
+def identity(work: Work, settings: dict[str, Any]) -> dict[str, Any]:
+    """What a member's bits depend on beside its point and the data that differ along an axis, as JSON."""
     fn = work.fn.func if isinstance(work.fn, partial) else work.fn
     named = fn if hasattr(fn, "__qualname__") else type(fn)
     return {
-        "axes": {
-            axis: {"values": np.asarray(a.values).tolist(), **({"unit": a.unit} if a.unit else {})}
-            for axis, a in grid.axes.items()
-        },
-        "zipped": [list(group) for group in grid.groups if len(group) > 1],
-        "settings": json.loads(json.dumps(settings)),
+        "settings": settings,
         "function": f"{named.__module__}.{named.__qualname__}",
-        "program": work.program.text_hash,
-        "data": _data_hash(work.shared.values if isinstance(work.shared, Along) else work.shared),
-        "execution": asdict(work.shape),
-        "environment": {"jax": jax.__version__, "platform": jax.default_backend()},
+        "program": work.text_hash,
+        "data": work.shared.axis if isinstance(work.shared, Along) else work.digests[0].hex(),
+        "execution": asdict(work.batch),
+        "environment": environment(work.threads),
     }
 
 
-def _data_hash(shared: Any) -> str:
-    digest = hashlib.sha256()
-    for path, leaf in jax.tree_util.tree_leaves_with_path(shared):
-        array = np.ascontiguousarray(np.asarray(leaf))
-        digest.update(f"{jax.tree_util.keystr(path)} {array.dtype} {array.shape}".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
+def environment(threads: int) -> dict[str, Any]:
+    """The part of a configuration that is not of the sweep; accelerators do not care for a CPU's threads."""
+    platform = jax.default_backend()
+    return {"jax": jax.__version__, "platform": platform} | ({"threads": threads} if platform == "cpu" else {})

@@ -1,16 +1,20 @@
-"""A worker process of a sweep on Ray: told once what the sweep is, it computes the chunks it is given."""
+"""A worker process of a sweep on Ray: told once what the sweep is, it does the tasks it is given."""
 
 import socket
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from ovibjax.errors import InputError
-from ovibjax.sweep.schema import digest
-from ovibjax.sweep.store import Store, attach
-from ovibjax.sweep.work import Block, Work
+from ovibjax.runtime.threads import one_blas_thread, pool_threads
+from ovibjax.sweep.differences import digest
+from ovibjax.sweep.store import attach
+from ovibjax.sweep.work import Work, environment
+from ovibjax.sweep.writer import Writer
 
 
 @dataclass(frozen=True)
@@ -20,44 +24,47 @@ class Assignment:
     Attributes:
         work: reference to the work in Ray's object store.
         store: the store and the digest of its configuration; None to send arrays back.
-        environment: version of jax and platform, which must be the same.
+        environment: names and values of `work.environment`, which must be the same.
         program: hash of the program's text.
         settings: jax's configuration.
     """
 
     work: Any
     store: tuple[str, str] | None
-    environment: tuple[str, str]
+    environment: tuple[tuple[str, Any], ...]
     program: str
     settings: tuple[tuple[str, Any], ...]
 
 
-def compute_chunk(assignment: Assignment, i: int) -> Block | None:
-    """One chunk, into the store or back; the task that Ray is given."""
+def compute_task(assignment: Assignment, lots: np.ndarray) -> np.ndarray | None:
+    """Some batches [batches, devices, lanes], into the store or back; the task that Ray is given."""
     work, store = begin(assignment)
-    block = work.compute(i)
-    if store is None:
-        return block
-    store.write(i, block.arrays, block.diverged)
+    with one_blas_thread():
+        if store is None:
+            return np.concatenate([work.compute(lot) for lot in lots])
+        with Writer(store) as writer:  # a killed worker has lost a second at most
+            for lot in lots:
+                writer.add(work.compute(lot))
     return None
 
 
 @lru_cache(maxsize=1)
-def begin(assignment: Assignment) -> tuple[Work, Store | None]:
+def begin(assignment: Assignment) -> tuple[Work, Path | None]:
     """Once per worker process: the work, and the store it writes to."""
     import ray
 
     here = f"the worker on {socket.gethostname()}"
     for name, value in assignment.settings:
         jax.config.update(name, value)
-    for what, there, mine in zip(
-        ("jax", "platform"), assignment.environment, (jax.__version__, jax.default_backend()), strict=True
-    ):
-        if there != mine:
-            raise InputError(f"{here} has {what} {mine} and this process {there}; bits depend on it: make them equal")
-    store = None
+    mine = environment(pool_threads())
+    for name, there in assignment.environment:
+        if mine.get(name) != there:
+            raise InputError(
+                f"{here} has {name} {mine.get(name)} and this sweep {there}; bits depend on it: make them equal"
+            )
+    path = None
     if assignment.store is not None:
-        path, config = assignment.store
+        path, config = Path(assignment.store[0]), assignment.store[1]
         try:
             store = attach(path)
         except InputError as error:
@@ -67,6 +74,6 @@ def begin(assignment: Assignment) -> tuple[Work, Store | None]:
         if digest(store.config) != config:
             raise InputError(f"{here} finds another store at {path}; use a file system that all machines share")
     work: Work = ray.get(assignment.work)
-    if work.program.text_hash != assignment.program:
+    if work.text_hash != assignment.program:
         raise InputError(f"{here} makes another program of this sweep; install the same software on all machines")
-    return work, store
+    return work, path

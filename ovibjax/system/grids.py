@@ -42,5 +42,5 @@ def sweep_system(
         dims=DIMS,
         coords={"k": list(prefixes), "V": list(Vs), "scheduler": list(schedulers)},
         units=UNITS,
-        **{"chunk": 1, **options},
+        **options,
     )

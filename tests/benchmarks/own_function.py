@@ -143,7 +143,7 @@ def main() -> None:
 
     rates, accuracies = {}, {}
     with tempfile.TemporaryDirectory() as folder:
-        by_four = ("--chunk", "16", "--lanes", "4")
+        by_four = ("--lanes", "4")
         command({**axes, "seed": [0]}, Path(folder) / "first.zarr", Path(folder) / "cache", *by_four)
         for name, more in (("sweep run, nothing compiled yet", ()), ("sweep run", ()), ("sweep run, 4 lanes", by_four)):
             out = Path(folder) / f"{len(rates)}.zarr"
@@ -153,8 +153,8 @@ def main() -> None:
     file = read_sweep_file(EXAMPLE)
     grid = {name: Axis(tuple(values)) for name, values in axes.items()}
     data = data_of(file, grid)
-    run(member_of(file, grid), grid, data, **file.options)
-    dataset, seconds = timed(lambda: run(member_of(file, grid), grid, data, **file.options))
+    run(member_of(file), grid, data, **file.options)
+    dataset, seconds = timed(lambda: run(member_of(file), grid, data, **file.options))
     rates["engine"] = row("engine", seconds, float(dataset.test_accuracy.mean("seed").max()))
     found, seconds = plain_loop(axes)
     theirs = accuracies["sweep run"].copy(data=found.reshape(accuracies["sweep run"].shape))

@@ -10,7 +10,7 @@ import pytest
 
 from ovibjax.cli.main import main
 from ovibjax.sweep.engine import run
-from ovibjax.sweep.store import Store
+from ovibjax.sweep.grid import make_grid
 from tests.cli.cases import done_here, said_of_bad_input
 from tests.sweep import stores
 
@@ -23,16 +23,10 @@ def member(key, point, shared):
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
     path = tmp_path_factory.mktemp("runs") / "mine.zarr"
-    run(
-        member,
-        {"x": [0.5, 1.0, 2.0, 4.0], "y": [0.0, 1.0], "seed": [0, 1, 2]},
-        units={"cost": "m"},
-        store=path,
-        chunk=1,
-    )
-    # The member of the last seed at (4, 1) is lost, as after a kill.
-    done = sorted((path / "finished").glob("c.*"), key=lambda file: int(file.name.split(".")[1]))
-    done[-1].unlink()
+    # All but the member of the last seed at (4, 1).
+    every, others = [0.5, 1.0, 2.0, 4.0], [0.5, 1.0, 2.0]
+    for x, y, seed in ((every, [0.0, 1.0], [0, 1]), (others, [0.0, 1.0], [2]), ([4.0], [0.0], [2])):
+        run(member, {"x": x, "y": y, "seed": seed}, units={"cost": "m"}, store=path)
     return path
 
 
@@ -131,13 +125,14 @@ def test_help_teaches(shown):
 
 
 def test_watching_waits_for_a_store_and_ends_with_it(tmp_path, monkeypatch, capsys):
-    path, schema = tmp_path / "runs" / "new.zarr", stores.make_schema(rows=1, columns=2)
+    path = tmp_path / "runs" / "new.zarr"
 
     def compute():
         time.sleep(0.3)
-        with Store.open(path, schema, stores.CONFIG) as kept:
-            for chunk in range(len(schema.chunks.members)):
-                stores.fill(kept, [chunk])
+        with stores.opened(path) as kept:
+            kept.announce(make_grid(stores.AXES))
+            for member in range(18):
+                kept.add(stores.make_rows([member]))
                 time.sleep(0.02)
 
     running = threading.Thread(target=compute)

@@ -73,11 +73,34 @@ def test_show_prints_a_table_and_writes_csv_and_plot(store, tmp_path, monkeypatc
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
 
 
+def files_of(store):
+    return sorted((path, path.stat().st_mtime_ns) for path in store.rglob("*") if path.is_file())
+
+
 def test_another_sweep_on_the_same_store_is_refused_and_named(store, features, refused):
-    before = sorted((path, path.stat().st_mtime_ns) for path in store.rglob("*") if path.is_file())
+    before = files_of(store)
     said = refused("sweep", "train", *AXES, "--steps", 40, "--batch", 32, "--data", features, "--out", store)
-    assert "settings.steps is 20 there and 40 here" in said
-    assert before == sorted((path, path.stat().st_mtime_ns) for path in store.rglob("*") if path.is_file())
+    assert "settings.steps is 20 there and 40 here" in said and "--keep-both" in said
+    assert before == files_of(store)
+
+
+def test_shards_grow_a_store_and_are_merged(store, features, tmp_path, monkeypatch, capsys):
+    """Another gamma and a third seed, in two shards of which each has a store of its own."""
+    precision = open_dataset(store).attrs["config"]["settings"]["precision"]
+    command = ("sweep", "train", *AXES, "--gamma", 0, 0.1, 1, "--seed", "0:3", "--steps", 20, "--batch", 32)
+    command += ("--precision", precision)
+    for i in (2, 1):
+        out = ("--data", features, "--out", tmp_path / f"{i}.zarr", "--shard", f"{i}/2")
+        done_here(monkeypatch, capsys, *command, *out)
+    assert [int(open_dataset(tmp_path / f"{i}.zarr").finished.sum()) for i in (1, 2)] == [5, 4]
+    both = (tmp_path / "1.zarr", tmp_path / "2.zarr")
+    done_here(monkeypatch, capsys, "sweep", "merge", *both, "--out", tmp_path / "all.zarr")
+    done_here(monkeypatch, capsys, "sweep", "merge", tmp_path / "all.zarr", store, "--out", tmp_path / "all.zarr")
+    whole, first = open_dataset(tmp_path / "all.zarr"), open_dataset(store)
+    assert whole.finished.all() and whole.finished.size == 9
+    part = whole.sel(gamma=first.gamma, seed=first.seed)
+    for name in first.data_vars:
+        assert part[name].values.tobytes() == first[name].values.tobytes(), name
 
 
 @pytest.mark.parametrize("begun_with", ["float32", "bfloat16"])
@@ -108,7 +131,8 @@ def test_the_operands_are_in_the_store(store, features, refused):
         (("--prefix", "9", "--latent", "8"), "--prefix 9: values are 1 to 8"),
         (("--mode", "A6"), "--mode A6"),
         (("--address", "x"), "--address is for --on ray"),
-        (("--chunk", "0"), "chunk"),
+        (("--shard", "3/2"), "--shard 3/2: give i/n with i from 1 to n, e.g. 3/16"),
+        (("--shard", "one"), "--shard one: give i/n"),
     ],
 )
 def test_a_misspelt_axis_or_impossible_value_is_one_line(features, tmp_path, refused, arguments, named):
@@ -129,7 +153,7 @@ def test_ctrl_c_keeps_finished_members_and_the_same_command_goes_on(features, tm
     with ctrl_c_interrupts():
         running = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 200
-    while not (out.exists() and len(list((out / "finished").glob("c.*"))) >= 2):
+    while len(list((out / "members").glob("*.npy"))) < 2:
         assert time.monotonic() < deadline and running.poll() is None
         time.sleep(0.05)
     running.send_signal(signal.SIGINT)
@@ -148,4 +172,5 @@ def test_devices_split_the_processor(features, tmp_path):
     arguments = ("sweep", "train", *AXES, "--steps", 20, "--batch", 32, "--data", features, "--out", out)
     done = ovibjax(*arguments, "--devices", 2, env=environment)
     assert done.returncode == 0, done.stderr
-    assert open_dataset(out).attrs["config"]["execution"]["devices"] == 2
+    done = ovibjax(*arguments, "--gamma", 0, 0.1, 1, env=environment)  # goes on with one
+    assert done.returncode == 0 and open_dataset(out).finished.size == 6, done.stderr

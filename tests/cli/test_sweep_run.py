@@ -133,10 +133,10 @@ def test_ctrl_c_keeps_what_is_finished_and_the_same_command_goes_on(folder, done
     with monkeypatch.context() as patched:
         patched.setattr(sweep_run, "progress_bar", interrupted_at_three)
         with pytest.raises(KeyboardInterrupt, match=r"3 of 8 members are in a\.zarr: repeat the command to go on"):
-            SweepRun(Path("mine.py"), Path("a.zarr"), chunk=1).run()
+            SweepRun(Path("mine.py"), Path("a.zarr"), lanes=1).run()
     assert int(open_dataset("a.zarr").finished.sum()) == 3
     done("mine.py", "--out", "a.zarr")
-    done("mine.py", "--out", "whole.zarr", "--chunk", "1")
+    done("mine.py", "--out", "whole.zarr", "--lanes", "1")
     one, other = open_dataset("a.zarr"), open_dataset("whole.zarr")
     assert one.finished.all() and one.drawn.values.tobytes() == other.drawn.values.tobytes()
 
@@ -160,7 +160,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_same_command_goes_on(folder, done
         (("mine.py", "--axis", "seed=1", "--axis", "seed=2"), "values of seed are given twice"),
         (("mine.py", "--address", "x"), "--address is for --on ray"),
         (("mine.py", "--devices", "0"), "--devices 0 is not positive"),
-        (("mine.py", "--chunk", "0"), "--chunk 0 is not positive"),
+        (("mine.py", "--shard", "0/4"), "--shard 0/4: give i/n"),
         (("mine.py", "--lanes", "0"), "--lanes 0 is not positive"),
         (("mine.py", "--axes", "rate=1"), "--axes: sweep run has no such option; did you mean --axis?"),
     ],
@@ -201,7 +201,7 @@ def test_help_teaches(monkeypatch, capsys):
 def test_the_best_point_comes_with_its_command(folder, done):
     done("mine.py", "--out", "a.zarr")
     found = choose(open_dataset("a.zarr"), "drawn", over="seed")
-    line = command(config_of("a.zarr"), found.point, found.over, "best.zarr")
+    line = command(config_of("a.zarr"), ["rate", "kind", "flag", "seed"], found.point, found.over, "best.zarr")
     kind = found.point["kind"]
     assert line.startswith("ovibjax sweep run mine.py --axis rate=") and f"kind={kind} flag=True seed=0,1" in line
     assert "2 members" in done(*line.split()[3:])
@@ -230,7 +230,7 @@ def test_the_example_learns_digits(tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_in_a_process_of_its_own(folder):
     (folder / "mine.py").write_text(MINE.replace("STEPS = 3", "STEPS = 3_000_000").replace("range(2)", "range(40)"))
-    arguments = [sys.executable, "-m", "ovibjax", "sweep", "run", "mine.py", "--out", "a.zarr", "--chunk", "1"]
+    arguments = [sys.executable, "-m", "ovibjax", "sweep", "run", "mine.py", "--out", "a.zarr", "--lanes", "1"]
     with ctrl_c_interrupts():
         running = subprocess.Popen(
             arguments, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}

@@ -114,16 +114,16 @@ def test_what_cannot_be_chosen_is_refused(dataset, metric, bounds, message):
 def test_the_command_that_reruns_the_point():
     config = {
         "function": "ovibjax.system.chain.System",
-        "axes": {"beta": {"values": [1e-4, 1e-3]}, "seed": {"values": [100, 101]}},
         "settings": {"k": [8, 16], "data": "embedded", "kb_per_s": 4.0, "scheduler": ["fifo", "edf"]},
     }
-    line = command(config, {"beta": 1e-3, "k": 16, "scheduler": "edf"}, {"seed": [100, 101]}, "a b.zarr")
+    axes, point = ["beta", "seed"], {"beta": 1e-3, "k": 16, "scheduler": "edf"}
+    line = command(config, axes, point, {"seed": [100, 101]}, "a b.zarr")
     assert line == (
-        "ovibjax sweep system --beta 0.001 --seed 100 101 --k 16 --kb-per-s 4 --scheduler edf --out 'a b.zarr'"
+        "ovibjax sweep system --k 16 --kb-per-s 4 --scheduler edf --beta 0.001 --seed 100 101 --out 'a b.zarr'"
     )
-    assert "--beta 0.00012345678 " in command(config, {"beta": 0.00012345678}, {}, "x"), "the bits of the point"
+    assert "--beta 0.00012345678 " in command(config, axes, {"beta": 0.00012345678}, {}, "x"), "the bits of the point"
     with pytest.raises(InputError, match="made from Python by mine"):
-        command({**config, "function": "mine.fn"}, {}, {}, "x")
+        command({**config, "function": "mine.fn"}, [], {}, {}, "x")
 
 
 def test_shares_of_a_sum_and_of_a_product():

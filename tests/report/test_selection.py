@@ -85,3 +85,8 @@ def test_names_have_no_order(results) -> None:
     named = results.assign_coords(beta=["mono", "stereo", "ring"])
     with pytest.raises(InputError, match=r"--where beta>=mono: its values are names \(mono, stereo, ring\)"):
         select(named, ["beta>=mono"])
+
+
+def test_a_store_without_members_is_told(results) -> None:
+    with pytest.raises(InputError, match="no member yet"):
+        select(results.isel({str(results.finished.dims[0]): slice(0)}), [])

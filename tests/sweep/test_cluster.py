@@ -1,4 +1,4 @@
-"""Chunks on real Ray workers: the same bits as in this process, whatever dies."""
+"""Members on real Ray workers: the same bits as in this process, whatever dies."""
 
 import importlib.util
 import os
@@ -76,7 +76,7 @@ def refused(function):
     return message
 
 
-@pytest.mark.parametrize("options", [{"chunk": 2}, {"chunk": 4, "lanes": 4}])
+@pytest.mark.parametrize("options", [{"lanes": 1}, {"lanes": 2}, {}])
 def test_same_bits(tmp_path, workers, options):
     here = run(train, AXES, DATA, **options)
     same(run(train, AXES, DATA, executor=on_ray(), **options), here)
@@ -84,10 +84,12 @@ def test_same_bits(tmp_path, workers, options):
     store = {"store": tmp_path / "a.zarr", "on_progress": lambda done, _: finished.append(done)}
     same(run(train, AXES, DATA, executor=on_ray(), **options, **store), here)
     assert open_dataset(tmp_path / "a.zarr").finished.all()
-    assert finished[0] == 0 and finished[-1] == 12 and finished == sorted(finished) and len(finished) > 4
+    assert (
+        finished[0] == 0 and finished[-1] == 12 and finished == sorted(finished) and (len(finished) > 4 or not options)
+    )
 
 
-def test_workers_share_the_chunks(tmp_path, workers):
+def test_workers_share_the_members(tmp_path, workers):
     def on_host(beta, seed):
         """Wait until two processes have come here, which they only do at the same time."""
         (tmp_path / str(os.getpid())).touch()
@@ -96,7 +98,7 @@ def test_workers_share_the_chunks(tmp_path, workers):
             time.sleep(0.01)
         return np.int32(os.getpid())
 
-    pids = run(partial(noted, on_host, 0), AXES, DATA, chunk=1, executor=on_ray()).host.values
+    pids = run(partial(noted, on_host, 0), AXES, DATA, lanes=1, executor=on_ray()).host.values
     assert len(np.unique(pids)) == 2 and os.getpid() not in pids
 
 
@@ -111,13 +113,16 @@ def test_killed_worker(tmp_path, workers):
         return np.int32(os.getpid())
 
     fn = partial(noted, on_host, 1)
-    disturbed = run(fn, AXES, DATA, chunk=1, store=tmp_path / "a.zarr", executor=on_ray())
+    disturbed = run(fn, AXES, DATA, lanes=1, store=tmp_path / "a.zarr", executor=on_ray())
     assert len(list(tmp_path.glob("killed*"))) == 2
     assert disturbed.finished.all()
-    same(disturbed, run(fn, AXES, DATA, chunk=1), without=["host"])  # here with all marks in place
+    same(disturbed, run(fn, AXES, DATA, lanes=1), without=["host"])  # here with all marks in place
 
 
-def test_deadly_chunk(tmp_path, workers):
+def test_deadly_member(tmp_path, workers, monkeypatch):
+    """It takes no other one with it, though they begin in one task."""
+    monkeypatch.setattr(cluster, "_TASKS", 1)
+
     def on_host(beta, seed):
         with (tmp_path / f"{beta} {seed}").open("a") as file:
             file.write("x")
@@ -126,11 +131,11 @@ def test_deadly_chunk(tmp_path, workers):
         return np.int32(0)
 
     fn = partial(noted, on_host, 2)
-    message = refused(lambda: run(fn, AXES, DATA, chunk=1, store=tmp_path / "a.zarr", executor=on_ray()))
-    assert "beta 0.01; seed 1" in message and "1 of 12 chunks" in message and "3 times" in message
+    message = refused(lambda: run(fn, AXES, DATA, lanes=1, store=tmp_path / "a.zarr", executor=on_ray()))
+    assert "some members killed their worker 3 times: beta 0.01; seed 1; too little memory" in message
     kept = open_dataset(tmp_path / "a.zarr")
     assert int(kept.finished.sum()) == 11 and not kept.finished.sel(beta=0.01, seed=1)
-    same(kept.drop_vars("host").isel(beta=0), run(train, {**AXES, "beta": [1e-3]}, DATA, chunk=1).isel(beta=0))
+    same(kept.drop_vars("host").isel(beta=0), run(train, {**AXES, "beta": [1e-3]}, DATA, lanes=1).isel(beta=0))
 
 
 def test_exception_of_a_member(workers):
@@ -138,7 +143,7 @@ def test_exception_of_a_member(workers):
         raise ZeroDivisionError("a member fails")
 
     with pytest.raises(jax.errors.JaxRuntimeError, match="a member fails") as caught:
-        run(partial(noted, on_host, 3), AXES, DATA, chunk=1, executor=on_ray())
+        run(partial(noted, on_host, 3), AXES, DATA, lanes=1, executor=on_ray())
     assert not isinstance(caught.value, ray.exceptions.RayError) and caught.value.__suppress_context__
 
 
@@ -152,7 +157,7 @@ def test_card_with_helper(tmp_path, workers, monkeypatch):
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, spec.name, module)
     spec.loader.exec_module(module)
-    same(run(module.member, AXES, chunk=2, executor=on_ray()), run(module.member, AXES, chunk=2))
+    same(run(module.member, AXES, lanes=1, executor=on_ray()), run(module.member, AXES, lanes=1))
     monkeypatch.delitem(sys.modules, "my_helper")
 
 
@@ -161,24 +166,26 @@ def test_settings_of_jax(workers):
         return {"y": jnp.sin(jax.random.normal(key, (3,)))}
 
     with jax.enable_x64(True):
-        dataset = run(fn, AXES, chunk=2, executor=on_ray())
+        dataset = run(fn, AXES, lanes=1, executor=on_ray())
         assert dataset.y.dtype == "float64"
-        same(dataset, run(fn, AXES, chunk=2))
-    same(run(fn, AXES, chunk=2, executor=on_ray()), run(fn, AXES, chunk=2))
+        same(dataset, run(fn, AXES, lanes=1))
+    same(run(fn, AXES, lanes=1, executor=on_ray()), run(fn, AXES, lanes=1))
 
 
 def test_store_that_workers_do_not_see(tmp_path, workers, monkeypatch):
     monkeypatch.chdir(tmp_path)  # workers stay where they are
     path = Path("/proc/self/cwd/a.zarr")
-    message = refused(lambda: run(train, AXES, DATA, chunk=2, store=path, executor=on_ray()))
+    message = refused(lambda: run(train, AXES, DATA, lanes=1, store=path, executor=on_ray()))
     assert "cannot open the store" in message and "all machines share" in message
 
 
 def test_other_software(workers):
-    assignment = worker.Assignment(None, None, ("0.4.1", "cpu"), "", ())
+    assignment = worker.Assignment(None, None, (("jax", "0.4.1"),), "", ())
     assert "has jax " in refused(lambda: worker.begin(assignment))
-    assignment = worker.Assignment(None, None, (jax.__version__, "gpu"), "", ())
-    assert "has platform cpu" in refused(lambda: worker.begin(assignment))
+    assignment = worker.Assignment(None, None, (("jax", jax.__version__), ("platform", "gpu")), "", ())
+    assert "has platform cpu and this sweep gpu" in refused(lambda: worker.begin(assignment))
+    assignment = worker.Assignment(None, None, (("threads", 7),), "", ())
+    assert "has threads 1 and this sweep 7" in refused(lambda: worker.begin(assignment))
 
 
 def test_bad_address(monkeypatch):
@@ -209,14 +216,14 @@ def member(key, point, shared):
 def show(done, total):
     print(done, flush=True)
 
-options = dict(axes={"beta": [0.1, 0.2, 0.3, 0.4], "seed": range(8)}, shared=jnp.float32(0.1), chunk=2)
+options = dict(axes={"beta": [0.1, 0.2, 0.3, 0.4], "seed": range(8)}, shared=jnp.float32(0.1), lanes=1)
 try:
     dataset = run(member, **options, store=sys.argv[1], executor=on_ray(workers=2), on_progress=show)
 except Interrupted as error:
     sys.exit(f"interrupted after {int(error.dataset.finished.sum())} of {error.dataset.finished.size}")
 here = run(member, **options)
 assert dataset.finished.all() and dataset.w.values.tobytes() == here.w.values.tobytes()
-assert dataset.attrs["config"]["execution"]["devices"] == 2
+assert len(jax.devices()) == 2
 """
 
 
@@ -231,7 +238,7 @@ def test_killed_and_interrupted_driver(tmp_path):
             pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
             process = subprocess.Popen(command, env=environment, text=True, **pipes)
         if end is not None:
-            for _ in range(3):  # what was there, and two chunks more
+            for _ in range(3):  # what was there, and two tasks more
                 assert process.stdout.readline(), process.stderr.read()
             process.send_signal(end)
         _, err = process.communicate(timeout=100)

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.grid import Axis
 from ovibjax.sweep.store import attach, open_dataset
-from ovibjax.sweep.work import Along, Block
-from tests.sweep.members import same, small
+from ovibjax.sweep.work import Along
+from tests.sweep.members import DATA, same, small
 
 OUTPUTS = {
     "walk": (4, np.float32),
@@ -89,26 +89,25 @@ TABLE = np.linspace(-1, 1, 4, dtype=np.float32)
     values=st.fixed_dictionaries(AXES),
     order=st.permutations(list(AXES)),
     seeded=st.booleans(),
-    chunk=st.none() | st.integers(1, 12),
     lanes=st.none() | st.integers(1, 6),
     along=st.sampled_from([None, None, "a", "seed", "kind"]),
 )
-def test_equals_a_loop(values, order, seeded, chunk, lanes, along):
+def test_equals_a_loop(values, order, seeded, lanes, along):
     axes = {name: values[name] for name in order if name != "seed" or seeded}
     along = along if along in axes else None
     shared = {"table": TABLE}
     if along:
         shared = [{"table": TABLE + np.float32(i)} for i in range(len(axes[along]))]
     given_data = Along(along, shared) if along else shared
-    dataset = run(everything, axes, given_data, chunk=chunk, lanes=lanes)
+    dataset = run(everything, axes, given_data, lanes=lanes)
     assert dataset.finished.dims == tuple(axes)
     check(everything, dataset, axes, shared, along)
 
 
-@pytest.mark.parametrize("chunk", [None, 2])
-def test_zipped_seed(chunk):
+@pytest.mark.parametrize("lanes", [None, 1, 2])
+def test_zipped_seed(lanes):
     axes = {"a": [0.5, 1.5], "seed": [3, 4, 9], "kind": ["x", "y", "z"], "flag": [True]}
-    dataset = run(everything, axes, {"table": TABLE}, zipped=[("kind", "seed")], chunk=chunk)
+    dataset = run(everything, axes, {"table": TABLE}, zipped=[("kind", "seed")], lanes=lanes)
     assert dataset.finished.dims == ("a", "kind_seed", "flag")
     assert dataset.seed.dims == dataset.kind.dims == ("kind_seed",)
     check(everything, dataset, axes, {"table": TABLE})
@@ -117,13 +116,13 @@ def test_zipped_seed(chunk):
 def test_all_axes_zipped():
     axes = {"a": [0.5, 1.5, 2.0], "seed": [3, 4, 9], "kind": ["x", "y", "z"], "flag": [True, False, True]}
     zipped = [("a", "seed", "kind", "flag")]
-    check(everything, run(everything, axes, {"table": TABLE}, zipped=zipped, chunk=2), axes, {"table": TABLE})
+    check(everything, run(everything, axes, {"table": TABLE}, zipped=zipped, lanes=2), axes, {"table": TABLE})
 
 
 def test_along_a_zipped_axis():
     axes = {"a": [0.5, 1.5], "seed": [3, 4, 9], "kind": ["x", "y", "z"], "flag": [True]}
     data = [{"table": TABLE * np.float32(i)} for i in range(3)]
-    dataset = run(everything, axes, Along("kind", data), zipped=[("seed", "kind")], chunk=4, lanes=2)
+    dataset = run(everything, axes, Along("kind", data), zipped=[("seed", "kind")], lanes=2)
     check(everything, dataset, axes, data, "kind")
 
 
@@ -156,7 +155,7 @@ def test_dataset_is_labelled():
 
 
 def test_a_store_holds_what_memory_holds(tmp_path):
-    options = {"dims": {"wave": ["t"]}, "coords": {"t": [1, 2, 3]}, "units": {"wave": "V"}, "chunk": 4, "lanes": 2}
+    options = {"dims": {"wave": ["t"]}, "coords": {"t": [1, 2, 3]}, "units": {"wave": "V"}, "lanes": 2}
     axes = {"rate": Axis((0.1, 0.2, 0.3), "m"), "kind": ["a", "b"], "seed": range(3)}
     one = run(small, axes, {"offset": np.float32(1)}, **options)
     other = run(small, axes, {"offset": np.float32(1)}, store=tmp_path / "a.zarr", **options)
@@ -175,7 +174,7 @@ def test_common_random_numbers():
     """Members of one seed see the same draws, whatever else they are and however they are computed."""
     axes = {"x": [1.0, 2.0, 4.0], "kind": ["a", "b"], "seed": [5, 0, 11, 7]}
     expected = {seed: np.asarray(jax.random.bits(jax.random.key(seed), (3,))) for seed in axes["seed"]}
-    for options in ({}, {"chunk": 1}, {"chunk": 5, "lanes": 2}, {"chunk": 24, "lanes": 1}, {"lanes": 7}):
+    for options in ({}, {"lanes": 1}, {"lanes": 2}, {"lanes": 7}):
         dataset = run(draws, axes, **options)
         for seed, bits in expected.items():
             assert (dataset.bits.sel(seed=seed).values == bits).all(), options
@@ -190,8 +189,8 @@ def test_another_point_moves_no_other():
     for more in ({"x": [0.5, 1.0, 4.0]}, {"seed": [1, 5, 9, 0]}, {"y": [1, 2]}):
         after = run(draws, {**axes, **more}).sel(x=axes["x"], seed=axes["seed"])
         after = after.isel(y=1) if "y" in more else after
-        np.testing.assert_array_equal(after.bits.transpose(*before.bits.dims[:2], ...), before.bits)
-        np.testing.assert_allclose(after.normal.transpose(*before.normal.dims[:2], ...), before.normal, rtol=1e-6)
+        for name in ("bits", "normal"):
+            assert after[name].values.tobytes() == before[name].values.tobytes()
 
 
 def test_without_a_seed_all_see_seed_0():
@@ -205,23 +204,24 @@ def test_progress_rises_to_the_total():
         small,
         {"rate": [0.1, 0.2, 0.3], "seed": range(5)},
         {"offset": np.float32(0)},
-        chunk=2,
+        lanes=2,
         on_progress=lambda *n: seen.append(n),
     )
     done, totals = zip(*seen, strict=True)
     assert set(totals) == {15} and done[0] == 0 and done[-1] == 15 and sorted(done) == list(done)
-    assert len(seen) == 1 + 5 * 2  # one seed at a time, three points in two chunks
+    assert len(seen) == 1 + 5 * 2  # one seed at a time, as there are as many points as lanes; three points in two
 
 
-def elsewhere(work, pending, path, seen):
+def elsewhere(work, lots, path, seen):
     """As a cluster would: the work travels, and a worker stores what it computes or sends it back."""
     work = pickle.loads(pickle.dumps(replace(work)))  # without the lowered program
-    seen += pending
-    for chunk in reversed(pending):
-        block = work.compute(chunk)
+    for lot in reversed(lots):
+        rows = work.compute(lot)
+        seen.append(len(rows))
         if path is not None:
-            attach(path).write(chunk, block.arrays, block.diverged)
-        yield chunk, Block(block.arrays, block.diverged) if path is None else None
+            with attach(path) as store:
+                store.add(rows)
+        yield len(rows), None if path is not None else rows
 
 
 @pytest.mark.parametrize("stored", [False, True])
@@ -231,7 +231,18 @@ def test_executor(tmp_path, stored, along):
     shared = Along("seed", [data] * 3) if along else data
     seen = []
     dataset = run(
-        small, axes, shared, chunk=2, store=tmp_path / "a" if stored else None, executor=partial(elsewhere, seen=seen)
+        small, axes, shared, lanes=2, store=tmp_path / "a" if stored else None, executor=partial(elsewhere, seen=seen)
     )
-    assert seen == list(range(6))
-    same(dataset, run(small, axes, shared, chunk=2))
+    assert seen == [1, 2] * 3
+    same(dataset, run(small, axes, shared, lanes=2))
+
+
+def test_a_shard_is_every_nth_member(tmp_path):
+    axes, path, whole = {"rate": [0.1, 0.2, 0.3], "seed": range(3)}, tmp_path / "a", []
+    for i in (3, 1, 2):
+        alone = run(small, axes, DATA, shard=(i, 4)).finished.values.ravel()
+        assert np.flatnonzero(alone).tolist() == list(range(i - 1, 9, 4))
+        whole.append(int(run(small, axes, DATA, shard=(i, 4), store=path).finished.sum()))
+    assert whole == [2, 5, 7]
+    same(run(small, axes, DATA, shard=(4, 4), store=path), run(small, axes, DATA))
+    assert run(small, {"rate": [0.1]}, DATA, shard=(2, 2)).finished.sum() == 0

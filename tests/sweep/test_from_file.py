@@ -31,8 +31,11 @@ def written(tmp_path):
 
 def computed(file, **asked):
     """The sweep of a file, with other values of some axes."""
-    axes = {**file.axes, **{name: Axis(tuple(values)) for name, values in asked.items()}}
-    return run(member_of(file, axes), axes, data_of(file, axes), **file.options)
+    names = {"kind": list(file.axes["kind"].values)} if "kind" in file.axes else {}
+    axes = dict(file.axes)
+    for name, values in asked.items():
+        axes[name] = Axis(tuple(values), numbers=[names[name].index(v) for v in values] if name in names else None)
+    return run(member_of(file), axes, data_of(file, axes), **file.options)
 
 
 def refusal(function, *arguments, **options):

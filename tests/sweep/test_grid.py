@@ -1,15 +1,13 @@
-"""Grids hold what was asked for, refuse the rest by name, and are cut without loss."""
+"""Grids hold what was asked for, and refuse the rest by name."""
 
 import time
 from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from ovibjax.errors import InputError
-from ovibjax.sweep.grid import PADDING, Axis, make_chunks, make_grid
+from ovibjax.sweep.grid import Axis, make_grid
 
 
 def refusal(*args, **options):
@@ -150,32 +148,3 @@ def test_a_long_axis_takes_no_time():
 
 def test_repeated_values_in_a_zip_are_fine_while_rows_differ():
     assert make_grid({"a": [1, 1], "b": [2, 3]}, [("a", "b")]).size == 2
-
-
-@settings(max_examples=150, deadline=None)
-@given(
-    shape=st.lists(st.integers(1, 5), min_size=1, max_size=4),
-    outer=st.none() | st.integers(0, 3),
-    rows=st.integers(1, 7),
-    columns=st.integers(1, 30),
-)
-def test_chunks_cover_every_member_once(shape, outer, rows, columns):
-    grid = make_grid({f"x{i}": range(n) for i, n in enumerate(shape)})
-    outer = None if outer is None else outer % len(shape)
-    rows = 1 if outer is None else rows
-    chunks = make_chunks(grid, outer, rows, columns)
-    assert chunks.members.shape[1:] == (rows, columns)
-    real = chunks.members != PADDING
-    assert sorted(chunks.members[real]) == list(range(grid.size))
-    assert (chunks.members[~real] == -1).all()
-    assert real[:, 0, 0].all(), "padding is at the ends, so that the first entry can stand in for it"
-    n_outer = 1 if outer is None else shape[outer]
-    assert len(chunks.members) == -(-n_outer // rows) * -(-(grid.size // n_outer) // columns)
-    if outer is not None:
-        values = grid.points(np.where(real, chunks.members, 0), grid.dims)
-        for name in grid.dims:
-            block, along_rows = values[name], name == f"x{outer}"
-            for chunk, mask in zip(block, real, strict=True):
-                lines, masks = (chunk, mask) if along_rows else (chunk.T, mask.T)
-                for line, there in zip(lines, masks, strict=True):
-                    assert len(set(line[there])) <= 1  # one outer value per row, one inner point per column

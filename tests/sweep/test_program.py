@@ -1,6 +1,7 @@
-"""One compilation per sweep, chunks of a fitting shape, and programs that are told apart."""
+"""One compilation per sweep, batches of a fitting size, and programs that are told apart."""
 
 import logging
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,9 @@ from hypothesis import strategies as st
 
 from ovibjax.sweep import program
 from ovibjax.sweep.engine import run
-from ovibjax.sweep.grid import make_chunks, make_grid
-from ovibjax.sweep.program import choose_shape, flatten, trace_member
-from ovibjax.sweep.work import Along
+from ovibjax.sweep.grid import make_grid
+from ovibjax.sweep.program import Batch, choose_batch, flatten, trace_member
+from ovibjax.sweep.work import PADDING, Along, Work
 from tests.sweep.members import cases, finish, small, start, sweep
 
 OFFSET = {"offset": np.float32(0.5)}
@@ -36,7 +37,7 @@ class Compilations:
 
 @pytest.mark.parametrize(
     ("tag", "options"),  # a program of its own for every parameter
-    list(enumerate([{}, {"chunk": 5}, {"chunk": 7, "lanes": 3}, {"chunk": 1}, {"lanes": 1}])),
+    list(enumerate([{}, {"lanes": 1}, {"lanes": 3}, {"lanes": 64}])),
 )
 def test_one_compilation_per_sweep(caplog, tag, options):
 
@@ -56,7 +57,7 @@ def test_one_compilation_with_data_along_an_axis(caplog):
     count = Compilations(caplog)
     with jax.log_compiles():
         for repeat in range(2):
-            run(small, {"scene": range(5), "rate": [0.1, 0.2, 0.3 + repeat]}, Along("scene", data), chunk=2)
+            run(small, {"scene": range(5), "rate": [0.1, 0.2, 0.3 + repeat]}, Along("scene", data))
             assert count() == 1 - repeat
 
 
@@ -102,95 +103,118 @@ def test_flatten():
     assert flatten({"a": {"b": 1, "c": {"d": 2}}, "e": 3}) == {"a.b": 1, "a.c.d": 2, "e": 3}
 
 
-class Device:
-    def __init__(self, platform="cpu"):
-        self.platform = platform
-
-
-def shape_for(n_inner, n_outer, cost, chunk=None, lanes=None, devices=1, workers=2, available=2**33, platform="cpu"):
-    grid = make_grid({"x": range(n_inner), **({"seed": range(n_outer)} if n_outer else {})})
+def batch_for(alive, own=0, members=100, inner=None, platform="cpu"):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(program.jax, "local_devices", lambda: [Device(platform)] * devices)
-        patch.setattr(program, "available_bytes", lambda _: available)
-        patch.setattr(program, "workers", lambda: workers)
-        shape = choose_shape(grid, 1 if n_outer else None, cost, chunk, lanes)
-    assert shape.devices == devices
-    return grid, shape
+        patch.setattr(program.jax, "default_backend", lambda: platform)
+        return choose_batch(alive, own, members, inner)
 
 
 def test_members_larger_than_the_cache_run_alone():
-    _, shape = shape_for(100, 5, (5 << 20, 100))
-    assert (shape.lanes, shape.rows, shape.columns) == (1, 1, 1)
+    assert batch_for(5 << 20) == batch_for(600 << 10) == Batch(1, False)
 
 
 def test_tiny_members_share_it():
-    _, shape = shape_for(1000, 5, (1 << 10, 4))
-    assert 500 <= shape.lanes <= 1024
+    assert batch_for(1 << 10) == Batch(64, False) and batch_for(100 << 10) == Batch(8, False)
 
 
-def test_accelerator_takes_as_many_as_fit():
-    _, shape = shape_for(1000, 1, (10 << 20, 100), platform="gpu", workers=1, available=1 << 33)
-    assert 300 < shape.lanes <= (1 << 32) // (10 << 20)
+def test_data_of_their_own_bound_them():
+    assert batch_for(1 << 10, own=16 << 20) == Batch(4, False) and batch_for(1 << 10, own=1 << 30) == Batch(1, False)
 
 
-def test_memory_bounds_tiny_members_too():
-    _, shape = shape_for(1000, 1, (1 << 10, 1 << 10), available=40 << 10)
-    assert shape.lanes == 5  # half of 40 KB, two workers, 2 KB each
+def test_accelerator_takes_as_many_as_fit_and_as_there_are():
+    assert batch_for(10 << 20, members=10_000, platform="gpu") == Batch(512, False)
+    assert batch_for(10 << 20, members=5, platform="gpu") == Batch(8, False)
+    assert batch_for(10 << 20, members=65, platform="gpu") == Batch(128, False)
+    assert batch_for(10 << 20, members=10_000, inner=1000, platform="gpu") == Batch(512, True)
+    assert batch_for(1 << 20, own=1 << 30, members=10_000, inner=10, platform="gpu") == Batch(4, False)
+    assert batch_for(1 << 40, members=10_000, inner=10, platform="gpu") == Batch(1, False)
 
 
-def test_a_long_grid_has_a_bounded_number_of_chunks():
-    grid, shape = shape_for(400, 60, (5 << 20, 4))
-    assert len(make_chunks(grid, 1, shape.rows, shape.columns).members) <= 1024 and shape.lanes == 1
-
-
-def test_cost_of_a_member():
-    _, (alive, outputs) = trace_member(small, {"rate": np.float32(1)}, OFFSET)
-    assert outputs == 3 * 4 + 2 * 4 + 4 and 12 <= alive < 10_000
-
-
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(
-    n_inner=st.integers(1, 60),
-    n_outer=st.integers(0, 20),
-    alive=st.integers(0, 1 << 22),
-    output=st.integers(0, 1 << 16),
-    chunk=st.none() | st.integers(1, 70),
-    lanes=st.none() | st.integers(1, 40),
-    devices=st.integers(1, 9),
-    workers=st.integers(1, 8),
-    available=st.integers(1 << 10, 1 << 34),
+    alive=st.integers(0, 1 << 40),
+    own=st.integers(0, 1 << 34),
+    grids=st.lists(st.tuples(st.integers(1, 60), st.none() | st.integers(1, 300)), min_size=2, max_size=2),
     platform=st.sampled_from(["cpu", "gpu"]),
 )
-def test_any_shape_covers_its_grid(
-    n_inner, n_outer, alive, output, chunk, lanes, devices, workers, available, platform
-):
-    grid, shape = shape_for(n_inner, n_outer, (alive, output), chunk, lanes, devices, workers, available, platform)
-    outer = 1 if n_outer else None
-    members = make_chunks(grid, outer, shape.rows, shape.columns).members
-    assert sorted(members[members >= 0]) == list(range(grid.size))
-    assert shape.rows == 1 or n_outer
-    # Whole groups of lanes on every device, or whole columns.
-    by_columns = shape.columns % devices == 0
-    rows, columns = (shape.rows, shape.columns // devices) if by_columns else (shape.rows // devices, shape.columns)
-    assert by_columns or shape.rows % devices == 0
-    if by_columns and n_inner >= devices:
-        assert columns % min(shape.lanes, columns) == 0
-        assert rows % max(1, shape.lanes // columns) == 0
-    if lanes is not None:
-        assert shape.lanes <= lanes
-    if chunk is not None and lanes is None:
-        assert shape.lanes <= chunk
-    if chunk is None and lanes is None:
-        at_once = devices if devices > 1 else workers
-        needed = shape.lanes * (max(alive, 1) + output) * at_once
-        assert shape.lanes == 1 or needed <= available / 2
-        if platform == "cpu":
-            assert shape.lanes == 1 or shape.lanes * alive <= 1 << 20
-    if chunk is not None:
-        slots = shape.rows * shape.columns
-        assert slots <= max(chunk, shape.lanes, 1) * 2 * devices
-    if shape.rows > 1 and n_inner >= devices:
-        assert shape.columns >= n_inner  # rows only once all inner points are in
+def test_a_batch_fits_and_on_a_cpu_no_grid_changes_it(alive, own, grids, platform):
+    one, other = (batch_for(alive, own, n * (inner or 1), inner, platform) for n, inner in grids)
+    assert platform == "gpu" or one == other
+    for batch in (one, other):
+        assert batch.lanes & (batch.lanes - 1) == 0 and not (batch.grouped and batch.lanes == 1)
+        assert batch.lanes == 1 or batch.lanes * alive <= (1 << 20 if platform == "cpu" else 8 << 30)
+
+
+def test_what_a_member_keeps_alive():
+    _, alive = trace_member(small, {"rate": np.float32(1)}, OFFSET)
+    assert 3 * 4 + 2 * 4 + 4 + 12 <= alive < 10_000
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    n_inner=st.integers(1, 12),
+    n_outer=st.none() | st.integers(1, 6),
+    lanes=st.integers(1, 9),
+    grouped=st.booleans(),
+    devices=st.integers(1, 4),
+    data=st.data(),
+)
+def test_lots_hold_every_member_once(n_inner, n_outer, lanes, grouped, devices, data):
+    grid = make_grid({"x": range(n_inner), **({"seed": range(n_outer)} if n_outer else {})})
+    members = np.array(sorted(data.draw(st.sets(st.integers(0, grid.size - 1)))), int)
+    grouped = grouped and n_outer is not None
+    lots = Work(None, grid, 1 if n_outer else None, Batch(lanes, grouped), devices, 1, None).lots(members)
+    assert all(lot.shape == (devices, lanes) for lot in lots)
+    every = np.concatenate([lot.ravel() for lot in lots]) if lots else np.zeros(0, int)
+    assert sorted(every[every != PADDING]) == members.tolist()
+    for lot in lots:
+        assert lot[0, 0] != PADDING, "padding is at the ends, so that the first entry can stand in for it"
+        for row in lot:
+            real = row[row != PADDING]
+            assert (row[: len(real)] == real).all()
+            assert not grouped or len({member % n_outer for member in real.tolist()}) <= 1
+    if not grouped:
+        assert len(lots) == -(-len(members) // (lanes * devices))
+
+
+def uneven(key, point, shared, whole=0):
+    """A function whose batches treat their last place otherwise, but those of whole vectors."""
+
+    @jax.custom_batching.custom_vmap
+    def f(x):
+        return x * 1.0
+
+    @f.def_vmap
+    def _(size, batched, x):
+        odd = (jnp.arange(size) == size - 1) & (whole == 0 or size % whole > 0)
+        return x * jnp.where(odd, 1.0 + 1e-6, 1.0), True
+
+    return {"y": f(point["rate"])}
+
+
+@pytest.mark.parametrize(
+    ("whole", "asked", "used"), [(0, None, 1), (0, 13, 1), (8, 13, 16), (8, 16, 16), (1, 13, 13), (1, None, 64)]
+)
+def test_members_run_alone_or_in_whole_vectors_where_places_of_a_batch_differ(whole, asked, used):
+    dataset = run(partial(uneven, whole=whole), {"rate": np.linspace(1, 2, 100)}, lanes=asked)
+    assert dataset.attrs["config"]["execution"] == {"lanes": used, "grouped": False}
+    assert (dataset.y.values == np.linspace(1, 2, 100).astype(np.float32)).all()
+
+
+def test_places_of_a_batch_are_compared_once(monkeypatch):
+    calls = []
+    monkeypatch.setattr(program.Program, "__call__", counted(program.Program.__call__, calls))
+    for rates in (np.linspace(0, 1, 3), np.linspace(0, 1, 70)):
+        run(lambda key, point, shared: {"y": point["rate"] * 3.25}, {"rate": rates})
+    assert len(calls) == 1 + 1 + 2
+
+
+def counted(function, calls):
+    def call(*args):
+        calls.append(args)
+        return function(*args)
+
+    return call
 
 
 DEVICES = """
@@ -210,7 +234,6 @@ for name, case in cases().items():
         failed.append(f"{name}: {type(error).__name__} {error}")
         continue
     arrays |= {f"{name}/{v}": dataset[v].values for v in dataset.data_vars}
-    assert dataset.attrs["config"]["execution"]["devices"] == len(jax.devices())
     (compiled,) = program._compiled.values()
     for sharding in jax.tree.leaves(compiled.output_shardings):
         assert len(sharding.device_set) == len(jax.devices()) and not sharding.is_fully_replicated, (name, sharding)
@@ -233,4 +256,4 @@ def test_several_devices_give_the_same(tmp_path):
             assert set(found) == set(expected)
             for name, values in expected.items():
                 assert found[name].dtype == values.dtype
-                np.testing.assert_allclose(found[name], values, rtol=1e-6, atol=1e-6, err_msg=f"{name}, {n} devices")
+                assert found[name].tobytes() == values.tobytes(), f"{name}, {n} devices"

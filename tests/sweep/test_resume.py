@@ -10,9 +10,9 @@ import jax
 import pytest
 
 from ovibjax.errors import InputError
-from ovibjax.sweep import program
+from ovibjax.sweep import program, writer
 from ovibjax.sweep.engine import run
-from ovibjax.sweep.store import config_of, open_dataset
+from ovibjax.sweep.store import open_dataset
 from tests.sweep.members import AXES, DATA, begun_store, finish, same, small, start, sweep, tree_hash
 
 
@@ -110,29 +110,20 @@ def test_another_process_resumes_what_this_one_has_begun(tmp_path):
     same(open_dataset(tmp_path / "a.zarr"), sweep(None, 3))
 
 
-def test_chunks_of_the_store_are_kept_when_memory_differs(tmp_path, monkeypatch):
+def test_a_store_keeps_the_batches_it_was_begun_with(tmp_path):
+    """Whatever a later version, or machine, would choose."""
     path = tmp_path / "a.zarr"
-
-    def stop(done, total):
-        if done:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(program, "available_bytes", lambda _: 100)
-    with pytest.raises(KeyboardInterrupt):
-        run(small, AXES, DATA, store=path, on_progress=stop)
-    first = config_of(path)["execution"]
-    assert first["columns"] == first["lanes"] == 1
-    monkeypatch.setattr(program, "available_bytes", lambda _: 2**33)
-    assert run(small, AXES, DATA).attrs["config"]["execution"]["columns"] > 1
+    run(small, {"rate": [0.1], "seed": range(2)}, DATA, store=path, lanes=1)
+    assert run(small, AXES, DATA).attrs["config"]["execution"]["lanes"] > 1
     seen = []
     dataset = run(small, AXES, DATA, store=path, on_progress=lambda *n: seen.append(n))
-    assert dataset.finished.all() and seen[0] == (1, 6)
-    assert dataset.attrs["config"]["execution"] == first
-    same(dataset, run(small, AXES, DATA, chunk=1, lanes=1))
+    assert dataset.finished.all() and seen[0] == (2, 6)
+    assert dataset.attrs["config"]["execution"] == {"lanes": 1, "grouped": False}
+    same(dataset, run(small, AXES, DATA, lanes=1))
 
 
 def test_finished_sweep_computes_nothing(tmp_path):
-    options = {"store": tmp_path / "a.zarr", "chunk": 2}
+    options = {"store": tmp_path / "a.zarr"}
     one = run(small, AXES, DATA, **options)
     before, count, seen = tree_hash(tmp_path / "a.zarr"), program.compilations, []
     same(one, run(small, AXES, DATA, **options, on_progress=lambda *n: seen.append(n)))
@@ -164,11 +155,11 @@ def noisy(key, point, shared):
 def test_full_disk(tmp_path):
     """The system refuses a file that is too large: one line, what is finished stays, and it goes on with room."""
     path, limits = tmp_path / "a.zarr", resource.getrlimit(resource.RLIMIT_FSIZE)
-    options = {"axes": {"i": range(6)}, "chunk": 1, "lanes": 1}
+    options = {"axes": {"i": range(6)}, "lanes": 1}
+    run(noisy, {"i": range(2)}, store=path, lanes=1)
 
     def tight(done, total):
-        if done == 2:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
 
     try:
         with pytest.raises(InputError) as caught:
@@ -176,7 +167,7 @@ def test_full_disk(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     message = str(caught.value)
-    assert "cannot write (File too large); 2 of 6 chunks are kept; make room and repeat the command" in message
+    assert "cannot write (File too large); 2 members are kept; make room and repeat the command" in message
     assert str(path) in message and "\n" not in message
     kept = open_dataset(path)
     assert kept.finished.sum() == 2
@@ -184,8 +175,7 @@ def test_full_disk(tmp_path):
     dataset = run(noisy, store=path, on_progress=lambda *n: seen.append(n[0]), **options)
     assert seen[0] == 2
     same(dataset, run(noisy, **options))
-    done = kept.finished.values
-    assert kept.noise.values[done].tobytes() == dataset.noise.values[done].tobytes()
+    assert kept.noise.values[:2].tobytes() == dataset.noise.values[:2].tobytes()
 
 
 @pytest.fixture
@@ -199,29 +189,30 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "-l", folder], check=True)
 
 
-def test_full_disk_of_its_own(small_disk):
+def test_full_disk_of_its_own(small_disk, monkeypatch):
+    monkeypatch.setattr(writer, "_WAIT_S", 0.0)
     with pytest.raises(InputError, match=r"No space left on device.*make room") as caught:
-        run(noisy, {"i": range(24)}, store=small_disk / "a.zarr", chunk=1, lanes=1)
-    kept = int(re.search(r"(\d+) of 24 chunks are kept", str(caught.value)).group(1))
+        run(noisy, {"i": range(24)}, store=small_disk / "a.zarr", lanes=1)
+    kept = int(re.search(r"(\d+) members are kept", str(caught.value)).group(1))
     dataset = open_dataset(small_disk / "a.zarr")
     assert 3 <= kept < 24 and kept == dataset.finished.sum()
     subprocess.run(["mount", "-o", "remount,size=8m", small_disk], check=True)
     seen = []
     whole = run(noisy, {"i": range(24)}, store=small_disk / "a.zarr", on_progress=lambda *n: seen.append(n[0]))
     assert seen[0] == kept
-    same(whole, run(noisy, {"i": range(24)}, chunk=1, lanes=1))
+    same(whole, run(noisy, {"i": range(24)}, lanes=1))
 
 
-def test_damaged_chunk_is_named_and_computed_again(begun):
-    (file,) = (begun / "wave").glob("c.1.*")
+def test_a_damaged_block_is_named_and_computed_again(begun):
+    (file,) = (begun / "members").glob("2-*.npy")
     data = file.read_bytes()
     file.write_bytes(data[:-6] + bytes([data[-6] ^ 1]) + data[-5:])
     with pytest.raises(InputError) as caught:
         run(small, AXES, DATA, store=begun, settings={"model": "wave"})
     message = str(caught.value)
-    assert "chunk 1 of wave is damaged" in message and "\n" not in message
-    Path(re.search(r"remove (\S+) and repeat", message).group(1)).unlink()
+    assert "is damaged (its checksum does not fit); remove it and repeat the command" in message
+    Path(message.split(" is damaged")[0]).unlink()
     seen = []
     dataset = run(small, AXES, DATA, store=begun, settings={"model": "wave"}, on_progress=lambda *n: seen.append(n[0]))
-    assert dataset.finished.all() and seen[0] == 5
-    same(dataset, run(small, AXES, DATA, chunk=2, lanes=1))
+    assert dataset.finished.all() and seen[0] == 1
+    same(dataset, run(small, AXES, DATA, lanes=1))

@@ -1,4 +1,4 @@
-"""A store refuses what is not its own: another sweep, damaged files, names and arrays that do not fit."""
+"""A store refuses what is not its own: another sweep, other data or names, damaged files, outputs that do not fit."""
 
 import json
 import re
@@ -6,111 +6,154 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import zarr.storage._local
+import zarr
 
-from ovibjax.sweep.schema import Variable
+from ovibjax.sweep.grid import Axis, make_grid
+from ovibjax.sweep.layout import Variable
 from ovibjax.sweep.store import Store, attach, open_dataset
-from tests.sweep.stores import AXES, CONFIG, VARIABLES, block, check, fill, make_schema, refusal, snapshot
+from tests.sweep.stores import (
+    AXES,
+    CONFIG,
+    DIGEST,
+    VARIABLES,
+    begun,
+    blocks,
+    check,
+    make_layout,
+    opened,
+    refusal,
+    snapshot,
+)
 
 
 def test_another_sweep_is_refused_with_what_differs(tmp_path):
-    schema, path = make_schema(), tmp_path / "mine.zarr"
-    with Store.open(path, schema, CONFIG) as store:
-        fill(store, [0])
+    path = begun(tmp_path / "mine.zarr", [0])
     before = snapshot(path)
-    other = {"model": "vib", "steps": 4000, "axes": {"beta": {"values": [0.01]}}}
-    assert refusal(Store.open, path, schema, other) == (
-        f"{path} holds another sweep: steps is 2000 there and 4000 here; axes.beta.values is [0.001] there "
-        "and [0.01] here; choose another --out or repeat the first command"
+    other = {"model": "vib", "steps": 4000, "rates": {"beta": [0.01]}}
+    assert refusal(opened, path, other) == (
+        f"{path} holds another sweep: steps is 2000 there and 4000 here; rates.beta is [0.001] there and [0.01] here; "
+        "choose another --out, keep both (--keep-both), or repeat the first command"
     )
-    many = refusal(Store.open, path, schema, dict.fromkeys("abcdef", 1))
-    assert many.count(" there and ") == 3
-    assert "seeds is absent there and 3 here" in refusal(Store.open, path, schema, {**CONFIG, "seeds": 3})
-    changed = make_schema(rows=1)
-    assert "chunks.rows is 2 there and 1 here" in refusal(Store.open, path, changed, CONFIG)
-    changed = make_schema({**AXES, "beta": [0.1, 0.02]})
-    assert "axes.beta.values is [0.1, 0.01] there and [0.1, 0.02] here" in refusal(Store.open, path, changed, CONFIG)
-    changed = make_schema(variables={**VARIABLES, "steps": Variable((), np.dtype("int64"), ())})
-    assert 'variables.steps.dtype is "int32" there and "int64" here' in refusal(Store.open, path, changed, CONFIG)
+    assert refusal(opened, path, dict.fromkeys("abcdef", 1)).count(" there and ") == 3
+    assert "seeds is absent there and 3 here" in refusal(opened, path, {**CONFIG, "seeds": 3})
+    for options, words in (
+        ({"axes": {**AXES, "more": [1]}}, "axes.more is absent there"),
+        ({"axes": {"seed": range(3), "kind": AXES["kind"]}}, "axes.beta is"),
+        ({"axes": {**AXES, "beta": Axis((0.1,), "nat")}}, 'axes.beta.unit is "" there and "nat" here'),
+        ({"axes": {**AXES, "kind": [0, 1]}}, 'axes.kind.values is "names" there and "numbers" here'),
+        (
+            {"variables": {**VARIABLES, "steps": Variable((), np.dtype("int64"), ())}},
+            'variables.steps.dtype is "int32"',
+        ),
+        ({"coords": {"prefix": Axis((1, 8), "bytes")}}, "coords.prefix.values is [1, 4] there and [1, 8] here"),
+    ):
+        assert words in refusal(opened, path, **options)
     assert snapshot(path) == before
-    with Store.open(path, schema, CONFIG):
+    with opened(path):
         pass
 
 
 def test_long_lists_are_shortened(tmp_path):
-    schema, path = make_schema(), tmp_path / "a.zarr"
-    Store.open(path, schema, {"snr": list(range(1000)), "path": "x" * 1000}).close()
-    message = refusal(Store.open, path, schema, {"snr": list(range(999)), "path": "x" * 1000})
+    path = tmp_path / "a.zarr"
+    opened(path, {"snr": list(range(1000)), "path": "x" * 1000}).close()
+    message = refusal(opened, path, {"snr": list(range(999)), "path": "x" * 1000})
     assert "snr is [0, 1, ... 999] (1000 values) there and [0, 1, ... 998] (999 values) here" in message
-    message = refusal(Store.open, path, schema, {"snr": [*range(700), -1, *range(701, 1000)], "path": ""})
+    message = refusal(opened, path, {"snr": [*range(700), -1, *range(701, 1000)], "path": ""})
     assert "snr[700] is 700 there and -1 here" in message
 
 
+def test_other_data_at_the_same_point_are_refused(tmp_path):
+    path, grid = begun(tmp_path / "a.zarr", range(6)), make_grid(AXES)
+    with opened(path) as store:
+        data = [DIGEST] * 18
+        data[4] = bytes(16)
+        message = refusal(store.missing, grid, data)
+        assert "seed 0, beta 0.1, kind max saw other data there than here" in message and str(path) in message
+        data[4], data[9] = DIGEST, bytes(16)  # one that is not there yet
+        assert store.missing(grid, data).tolist() == list(range(6, 18))
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["max"], "number 0 is mean there and max here"),
+        (["vit", "mean"], "number 0 is mean there and vit here"),
+        (["mean", "vit", "max"], "number 1 is max there and vit here"),
+        (["max", "mean", "none of them"], "number 0 is mean there and max here"),
+        (["mean", "max", "vit", "none of them"], "number 2 is none of them there and vit here"),
+    ],
+)
+def test_a_name_keeps_its_number(tmp_path, names, words):
+    """It is all that the member function sees of it."""
+    path = begun(tmp_path / "a.zarr", range(6))
+    grid = make_grid({**AXES, "kind": names})
+    with opened(path) as store:
+        message = refusal(store.missing, grid, [DIGEST] * grid.size)
+    assert f"of kind, {words}; give names in the order of the first command, new ones last" in message
+
+
+def test_a_name_that_stands_at_another_place_alone(tmp_path):
+    path = begun(tmp_path / "a.zarr", [1])  # only `max` is there
+    with opened(path) as store:
+        grid = make_grid({**AXES, "kind": ["max"]})
+        assert "max is number 1 there and 0 here" in refusal(store.missing, grid, [DIGEST] * 6)
+        for names in (["mean", "max"], ["mean", "max", "none of them", "vit"]):
+            grid = make_grid({**AXES, "kind": names})
+            assert len(store.missing(grid, [DIGEST] * grid.size)) == grid.size - 1
+
+
+def test_a_name_at_two_places_of_zipped_axes(tmp_path):
+    axes, zipped = {"kind": ["x", "y", "x"], "n": [1, 2, 3]}, (("kind", "n"),)
+    path = begun(tmp_path / "a.zarr", [0], axes=axes, zipped=zipped)
+    with opened(path, axes=axes, zipped=zipped) as store:
+        assert store.missing(make_grid(axes, zipped), [DIGEST] * 3).tolist() == [1, 2]
+
+
 def spoil(path, how):
-    file = path / "zarr.json"
-    if how == "truncated":
-        file.write_bytes(file.read_bytes()[:-40])
-    elif how == "empty":
-        file.write_bytes(b"")
+    file = path / "sweep.json"
+    text = file.read_text()
+    contents = {"truncated": text[:-40], "empty": "", "list": "[]", "number": "3", "array": '["format"]'}
+    if how in contents:
+        file.write_text(contents[how])
     elif how == "binary":
         file.write_bytes(b"\xff\xfe\x00")
-    elif how == "list":
-        file.write_text("[]")
     elif how == "missing":
         file.unlink()
-    elif how == "array":
-        file.write_bytes((path / "error" / "zarr.json").read_bytes())
-    elif how == "array metadata":
-        (path / "error" / "zarr.json").write_text("{}")
-    elif how == "array missing":
-        (path / "error" / "zarr.json").unlink()
-    elif how == "grid index":
-        (path / "grid_index" / "c.0").unlink()
-    elif how == "axis values":
-        (path / "beta" / "c.0").write_bytes((path / "seed" / "c.0").read_bytes())
+    elif how == "no members":
+        (path / "members").rmdir()
     else:
-        document = json.loads(file.read_text())
-        attributes = document["attributes"]
+        head = json.loads(text)
         if how == "format":
-            attributes["format"] = 2
+            head["format"] = 3
         elif how == "config":
-            attributes["config"]["steps"] = 2001
+            head["config"]["steps"] = 2001
         elif how == "hash":
-            attributes["hash"] = "0" * 64
+            head["hash"] = "0" * 64
         elif how == "layout":
-            attributes["layout"]["axes"]["beta"]["values"][0] = 0.2
-        elif how == "rows":
-            attributes["layout"]["chunks"]["rows"] = 4
+            head["layout"]["axes"]["beta"]["unit"] = "m"
         elif how == "object":
-            attributes["layout"]["variables"]["error"]["dtype"] = "object"
+            head["layout"]["variables"]["error"]["dtype"] = "object"
         else:
-            del attributes[how.removeprefix("no ")]
-        file.write_text(json.dumps(document))
+            del head[how.removeprefix("no ")]
+        file.write_text(json.dumps(head))
 
 
-METADATA = ["truncated", "empty", "binary", "list", "missing", "array", "format", "config", "hash", "layout", "rows"]
+HEADS = ["truncated", "empty", "binary", "list", "number", "array", "missing", "no members", "format", "config", "hash"]
+HEADS += ["layout", "object", "no format", "no config", "no hash", "no layout"]
 
 
-METADATA += ["object", "array metadata", "array missing", "grid index", "axis values"]
-
-
-METADATA += ["no format", "no config", "no hash", "no layout"]
-
-
-@pytest.mark.parametrize("how", METADATA)
-def test_damaged_or_edited_metadata_is_refused(tmp_path, how):
-    schema, path = make_schema(), tmp_path / "a.zarr"
-    with Store.open(path, schema, CONFIG) as store:
-        fill(store, [0])
+@pytest.mark.parametrize("how", HEADS)
+def test_a_damaged_or_edited_head_is_refused(tmp_path, how):
+    path = begun(tmp_path / "a.zarr", [])
     spoil(path, how)
     before = snapshot(tmp_path)
-    for message in (refusal(Store.open, path, schema, CONFIG), refusal(open_dataset, path), refusal(attach, path)):
+    for message in (refusal(opened, path), refusal(open_dataset, path), refusal(attach, path)):
         assert str(path) in message and "choose another path" in message
     assert snapshot(tmp_path) == before
     if how == "format":
-        assert "format 2" in message
-    if how in ("config", "hash"):
-        assert "hash does not fit its config" in message
+        assert "format 3" in message
+    if how in ("config", "hash", "layout", "object"):
+        assert "was edited: its hash does not fit" in message
 
 
 def test_what_is_no_store_is_left_alone(tmp_path):
@@ -118,59 +161,50 @@ def test_what_is_no_store_is_left_alone(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "thesis.tex").write_text("text")
     (tmp_path / "empty").mkdir()
-    zarr.create_group(tmp_path / "other.zarr", zarr_format=3, attributes={"title": "not ours"})
-    zarr.create_group(tmp_path / "old.zarr", zarr_format=2)
+    zarr.create_group(tmp_path / "other.zarr", zarr_format=2)
     before = snapshot(tmp_path)
-    for name in ("file.zarr", "folder", "empty", "other.zarr", "old.zarr"):
-        assert str(tmp_path / name) in refusal(Store.open, tmp_path / name, make_schema(), CONFIG)
+    for name in ("file.zarr", "folder", "empty", "other.zarr"):
+        assert str(tmp_path / name) in refusal(opened, tmp_path / name)
         refusal(open_dataset, tmp_path / name)
     refusal(open_dataset, tmp_path / "missing.zarr")
     refusal(attach, tmp_path / "missing.zarr")
     assert snapshot(tmp_path) == before and not (tmp_path / "missing.zarr").exists()
 
 
-@pytest.mark.parametrize("name", ["error", "params.encoder_1.kernel", "steps", "diverged", "finished"])
-@pytest.mark.parametrize("how", ["flip", "cut", "empty", "folder"])
-def test_damaged_chunk_is_named_and_can_be_computed_again(tmp_path, name, how):
-    schema, path = make_schema(), tmp_path / "a.zarr"
-    with Store.open(path, schema, CONFIG) as store:
-        fill(store, [0, 2])
-    (file,) = (path / name).glob("c.2*")
+def test_a_damaged_block_is_named_and_its_members_are_missing_without_it(tmp_path):
+    path = begun(tmp_path / "a.zarr", range(6))
+    begun(path, [8, 9])
+    (file,) = (file for file in blocks(path) if file.name.startswith("2-"))
     data = file.read_bytes()
-    if how == "flip":
-        file.write_bytes(data[:-5] + bytes([data[-5] ^ 1]) + data[-4:])  # the last byte before the checksum
-    elif how == "folder" and name != "finished":
-        file.unlink()
-        file.mkdir()
-    else:
-        file.write_bytes(b"" if how == "empty" else data[:-1])
-    message = refusal(open_dataset, path)
-    assert f"chunk 2 of {name} is damaged" in message
-    remove = re.search(r"remove (\S+) and repeat", message).group(1)
-    Path(remove).unlink()
-    if file.is_dir():
-        file.rmdir()
-    with Store.open(path, schema, CONFIG) as store:
-        assert store.finished().tolist() == [True, False, False, False]
-        fill(store, [2])
-    check(path, schema, [0, 2])
+    file.write_bytes(data[:-5] + bytes([data[-5] ^ 1]) + data[-4:])
+    for message in (refusal(open_dataset, path), refusal(opened, path)):
+        Path(re.match(r"(\S+) is damaged", message).group(1)).exists()
+        assert "its checksum does not fit" in message
+    file.unlink()
+    check(path, range(6))
+    with opened(path) as store:
+        assert store.missing(make_grid(AXES), [DIGEST] * 18).tolist() == list(range(6, 18))
 
 
-@pytest.mark.parametrize(
-    "name", ["beta", "grid_index", "finished", "diverged", "member", "chunk", "prefix", "zarr.json", "a_b"]
-)
-def test_names_that_clash_are_refused(tmp_path, name):
-    schema = make_schema(
-        {"a": [1, 2], "b": [3, 4], "beta": [1]},
-        (("a", "b"),),
-        variables={**VARIABLES, name: Variable((), np.dtype("float32"), ())},
+def test_a_block_of_another_store_is_refused(tmp_path):
+    path, other = (
+        begun(tmp_path / "a.zarr", [0]),
+        begun(tmp_path / "b.zarr", [1], variables={"n": VARIABLES["steps"]}, coords={}),
     )
-    assert repr(name) in refusal(Store.open, tmp_path / "a.zarr", schema, CONFIG)
-    assert not list(tmp_path.iterdir())
+    (file,) = blocks(other)
+    (path / "members" / file.name).write_bytes(file.read_bytes())
+    assert f"{file.name} is damaged (it holds another table than the store says)" in refusal(open_dataset, path)
 
 
-def test_axis_with_a_name_of_the_store_is_refused(tmp_path):
-    assert "'finished'" in refusal(Store.open, tmp_path / "a.zarr", make_schema({"finished": [1, 2]}), CONFIG)
+@pytest.mark.parametrize("name", ["beta", "finished", "diverged", "prefix", "a_b"])
+def test_names_that_clash_are_refused(name):
+    variables = {**VARIABLES, name: Variable((), np.dtype("float32"), ())}
+    axes = {"a": [1, 2], "b": [3, 4], "beta": [1]}
+    assert repr(name) in refusal(make_layout, axes, (("a", "b"),), variables)
+
+
+def test_axis_with_a_name_of_the_store_is_refused():
+    assert "'finished'" in refusal(make_layout, {"finished": [1, 2]})
 
 
 @pytest.mark.parametrize(
@@ -189,26 +223,11 @@ def test_axis_with_a_name_of_the_store_is_refused(tmp_path):
         ("x", Variable((3,), np.dtype("float32"), ("seed",))),
     ],
 )
-def test_variables_that_cannot_be_stored_are_refused(tmp_path, name, variable):
-    refusal(Store.open, tmp_path / "a.zarr", make_schema(variables={name: variable}), CONFIG)
-    assert not list(tmp_path.iterdir())
+def test_variables_that_cannot_be_stored_are_refused(name, variable):
+    refusal(make_layout, variables={name: variable})
 
 
-def test_wrong_arrays_are_refused(tmp_path):
-    schema = make_schema()
-    with Store.open(tmp_path / "a.zarr", schema, CONFIG) as store:
-        arrays, diverged = block(schema, 0)
-        wrong = [
-            (0, {**arrays, "more": diverged}, diverged),
-            (0, {name: v for name, v in arrays.items() if name != "steps"}, diverged),
-            (0, {**arrays, "steps": arrays["steps"].astype(np.int64)}, diverged),
-            (0, {**arrays, "error": arrays["error"].T}, diverged),
-            (0, arrays, diverged[:-1]),
-            (4, arrays, diverged),
-            (-1, arrays, diverged),
-        ]
-        for call in wrong:
-            with pytest.raises(ValueError):
-                store.write(*call)
-        assert not store.finished().any()
-        check(tmp_path / "a.zarr", schema, [])
+def test_an_open_store_is_not_made_over(tmp_path):
+    """Two that create one at the same time: the second finds the first one's, and refuses it if it is another."""
+    with opened(tmp_path / "a.zarr"):
+        assert "steps is 2000 there and 1 here" in refusal(Store.open, tmp_path / "a.zarr", make_layout(), {"steps": 1})
