@@ -10,6 +10,7 @@ from ovibjax.errors import StrPath, doubt, refusal, unreadable
 from ovibjax.features.frames import FeatureSet, OnFrames, make_feature_set, validate
 from ovibjax.features.npz import read_npz, write_npz
 from ovibjax.features.places import coarse_m
+from ovibjax.features.units import seem_degrees, seem_geographic
 from ovibjax.views import VIEWS
 
 POSITION_TOLERANCE_M = 1e-3
@@ -42,6 +43,9 @@ def load(path: StrPath, on_frame: OnFrames | None = None) -> FeatureSet:
 
     Raises:
         InputError: the file or folder is missing, corrupt or not valid; the message names it and the reason.
+
+    Warns:
+        Doubt: positions or headings that can hardly be in metres and radians.
     """
     try:
         is_folder = Path(path).is_dir()
@@ -51,7 +55,12 @@ def load(path: StrPath, on_frame: OnFrames | None = None) -> FeatureSet:
         arrays = read_view_folder(path, on_frame)
     else:
         arrays = read_npz(path, FeatureSet._fields[:2], FeatureSet._fields[2:])
-    return make_feature_set(**arrays, source=str(path))
+    made = make_feature_set(**arrays, source=str(path))
+    if seem_geographic(made.positions_m):
+        doubt(path, "positions_m look like latitude and longitude in degrees; they are taken for metres")
+    if seem_degrees(made.positions_m, made.yaw_rad.astype(np.float64)):
+        doubt(path, "yaw_rad looks like degrees: it goes beyond 2 pi as the route does not; it is taken for radians")
+    return made
 
 
 def read_view_folder(path: StrPath, on_frame: OnFrames | None = None) -> dict[str, NDArray[Any]]:

@@ -69,6 +69,7 @@ class Poses:
         quaternion: x, y, z, w of the body in the world; empty where there are angles.
         wrong: what is missing or unusable; "" for a complete pose.
         cells: optional columns.
+        turn: known name of the column of angles, and its name in the file; "" where there are rotations.
     """
 
     form: str
@@ -80,6 +81,7 @@ class Poses:
     quaternion: list[tuple[float, ...]] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
     cells: list[dict[str, str]] = field(default_factory=list)
+    turn: tuple[str, str] = ("", "")
 
     def add(
         self, line: int, frame: str, position: Sequence[float], quaternion: Sequence[float], wrong: str = ""
@@ -120,6 +122,7 @@ def read_table_of_poses(path: Path, text: str, columns: Sequence[str] = ()) -> P
     not_read = f", not read {', '.join(ignored)[:80]}" if ignored else ""
     read = (name if names[at].lower() == name.lower() else f"{name} from {names[at]}" for name, at in where.items())
     poses = Poses(f"table with {_SEPARATORS[separator]}, {', '.join(read)}{not_read}")
+    poses.turn = next(((name, names[where[name]]) for name in YAW if name in where), ("", ""))
     for line, cells in rows:
         if not any(cells):
             continue

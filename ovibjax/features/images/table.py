@@ -1,6 +1,6 @@
 """Somebody's own images: a table or another file of poses, and a pattern that says where each image lies."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from ovibjax.features.images.image_pattern import EXAMPLE, ImagePattern, hint_at
 from ovibjax.features.images.pose_formats import read_poses
 from ovibjax.features.images.pose_table import PoseOptions, Poses
 from ovibjax.features.images.source import MAX_MAGNITUDE, Frame, Skipped, Source, nothing_left
+from ovibjax.features.units import seem_degrees, seem_geographic, seem_radians
 from ovibjax.runtime.text_tables import read_text
 from ovibjax.views import VIEWS
 
@@ -51,6 +52,7 @@ def read_table(
     n_views = n_views or (5 if any(place[4] in sizes for place in places) else 4)
     axes = axes or axes_of(poses.axes)
     motion = _motion(path, poses, axes)
+    _refuse_doubts(path, poses, axes.stated, options.columns, list(motion))
     frames, skipped = list[Frame](), list[Skipped]()
     for row, (frame, place) in enumerate(zip(poses.frame, places, strict=True)):
         lacking = [image for image in place[:n_views] if image not in sizes]
@@ -125,6 +127,25 @@ def _motion(path: Path, poses: Poses, axes: Axes) -> dict[int, tuple[tuple[float
         row: ((float(x), float(y), float(z)), float(yaw))
         for row, (x, y, z), yaw in zip(rows, placed, yaw_rad, strict=True)
     }
+
+
+def _refuse_doubts(path: Path, poses: Poses, axes_stated: bool, asked: Sequence[str], rows: list[int]) -> None:
+    """Refuse numbers that can hardly be in the unit of their column, where nobody said that they are."""
+    position = np.array(poses.position, np.float64)[rows].reshape(-1, 3)
+    if not axes_stated and seem_geographic(position):
+        doubt = "positions look like latitude and longitude in degrees, not metres"
+        raise refusal(path, f"{doubt}; say --axes lat-lon-alt or lon-lat-alt, or --axes flu for metres")
+    name, column = poses.turn
+    if not name or any(item.startswith(("yaw_deg=", "yaw_rad=")) for item in asked):
+        return
+    yaw = np.array(poses.yaw_rad)[rows]
+    if name == "yaw_deg" and seem_radians(position, np.degrees(yaw)):
+        doubt = f"{column} looks like radians: it stays within 2 pi where the route turns"
+    elif name == "yaw_rad" and seem_degrees(position, yaw):
+        doubt = f"{column} looks like degrees: it goes beyond 2 pi as the route does not"
+    else:
+        return
+    raise refusal(path, f"{doubt}; say which it is, --columns yaw_rad={column} or --columns yaw_deg={column}")
 
 
 def _context(path: Path, line: int, text: str) -> int:
