@@ -23,9 +23,10 @@ class Features:
 
     SRC is one of
 
-    - a folder: rgb/<Camera>/<frame>.png (or .jpg) and metadata/<frame>.json, or a folder of such towns;
+    - a folder: rgb/<Camera>/<frame>.png (or .jpg, .webp, .bmp) and metadata/<frame>.json, or a folder of such towns;
 
-    - an archive: the same as .tar or .tar.gz, read in place and never unpacked;
+    - an archive: the same as .tar, .tar.gz or .zip, read in place, or .tar.bz2, .tar.xz or .tar.zst (extra [zstd]),
+    unpacked into a temporary file;
 
     - a table: .csv, .tsv or .txt with columns frame,x_m,y_m,z_m,yaw_deg (or yaw_rad, or qw,qx,qy,qz), optionally
     scene and context, together with --images;
@@ -44,7 +45,7 @@ class Features:
     """
 
     src: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]
-    """A folder, a .tar or .tar.gz, or a file of poses."""
+    """A folder, an archive, or a file of poses."""
     out: Path
     """The .npz file to write."""
     backbone: str = "embedded"

@@ -150,7 +150,7 @@ def _read_frame(root: Path, cameras: tuple[str, ...], name: str) -> tuple[NDArra
     places: list[NDArray[Any]] = []
     for camera in cameras:
         file = root / camera / f"{name}.npz"
-        arrays = read_npz(file, ("feature", "position"), extra=True)
+        arrays = read_npz(file, ("feature", "position"))
         stored = _vector(arrays["position"], file, "position")
         step_m, place = max(step_m, coarse_m(stored)), stored.astype(np.float64)
         if place.size not in (2, 3):

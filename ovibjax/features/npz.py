@@ -1,5 +1,6 @@
 """Arrays of numbers and text in `.npz` archives that nobody vouches for; nothing is ever unpickled."""
 
+import difflib
 import io
 import math
 import os
@@ -82,23 +83,20 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path, ke
     return array.reshape(shape[::-1]).T if fortran_order else array.reshape(shape)
 
 
-def read_npz(
-    path: StrPath, required: tuple[str, ...], optional: tuple[str, ...] = (), extra: bool = False
-) -> dict[str, NDArray[Any]]:
+def read_npz(path: StrPath, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, NDArray[Any]]:
     """Read named arrays from an `.npz` archive that nobody vouches for.
 
     Args:
         path: the archive, stored or deflated.
         required: arrays that must be there.
-        optional: arrays that may be there.
-        extra: whether other arrays are left unread instead of refused.
+        optional: arrays that may be there; others are left unread, unless they may be one of these misspelt.
 
     Returns:
         Arrays of integers, real numbers or text by name, in the dtype and shape of the file.
 
     Raises:
-        InputError: the file is missing, not an archive, truncated, corrupt, too large, lacks an array, has an
-            array of an unknown name, or holds pickled objects.
+        InputError: the file is missing, not an archive, truncated, corrupt, too large, lacks an array, seems
+            to misspell one, or holds pickled objects.
     """
     path = Path(path)
     known = (*required, *optional)
@@ -122,9 +120,14 @@ def read_npz(
             for key in required:
                 if key not in members:
                     raise refusal(path, f"missing array {key!r}; it needs {', '.join(required)}")
-            for key in members:
-                if key not in known and not extra:
-                    raise refusal(path, f"unknown array {key!r}; it may hold {', '.join(known)}")
+            for key in members.keys() - set(known):
+                absent = [name for name in optional if name not in members]
+                meant = [name for name in absent if name.startswith(f"{key}_")]
+                meant = meant or difflib.get_close_matches(key, absent, n=1, cutoff=0.8)
+                if meant:
+                    raise refusal(path, f"unknown array {key!r}; did you mean {meant[0]!r}? Rename or remove it")
+                # A name stands in two places; where they differ, one is damaged, and may be that of a known array.
+                archive.open(members[key]).close()
             arrays = {}
             for key in [key for key in known if key in members]:
                 place = f"array {key!r}"

@@ -1,31 +1,37 @@
-"""Files inside a `.tar` or `.tar.gz` archive, read in place: one pass finds them, nothing is ever unpacked."""
+"""Files inside a `.tar` archive: one pass finds them, and they are read in place, also from a `.tar.gz`.
+
+Other packings, bzip2, xz and zstd, cannot be entered in the middle: they go to a temporary file first.
+"""
 
 import io
 import os
 import tarfile
 from collections.abc import Callable, Iterable
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
+from typing import BinaryIO
 
 from ovibjax.errors import InputError, refusal
 from ovibjax.features.images.gzip_access import GzipReader
+from ovibjax.features.images.member_names import clean_name
 from ovibjax.features.images.source import OnStep
+from ovibjax.features.images.unpacking import packing_of, unpacked
 
 _MAX_HEADER_BYTES = 2**20  # long names and extended headers; tarfile would take whatever a header claims
 _STEP_MEMBERS = 1000
-_OTHER_PACKINGS = {b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"PK\x03\x04": "zip"}
+_BELOW = ("Front/0.png", "0.png", "0.json")  # in place of `rgb`, of a camera's folder, of `metadata`
 
 
 class TarFiles:
     """Regular files of an archive.
 
     Args:
-        path: the archive, plain or gzip.
+        path: the archive, plain or packed.
         wanted: which names to keep in mind; a released town has a million members.
         on_step: progress of the one pass over the archive, in bytes.
 
     Raises:
-        InputError: not a tar archive, truncated, corrupt, or a member has an absolute path, leads out of the
-            archive, or is a link or a device.
+        InputError: not a tar archive, truncated, corrupt, or a member has an absolute path or leads out of the
+            archive, or one that is wanted is a link or a device.
     """
 
     def __init__(self, path: Path, wanted: Callable[[str], bool], on_step: OnStep | None = None) -> None:
@@ -33,17 +39,17 @@ class TarFiles:
         self.sizes_bytes: dict[str, int] = {}
         self._offsets: dict[str, int] = {}
         try:
-            self._file = path.open("rb")
+            self._file: BinaryIO = path.open("rb")
         except OSError as error:
             raise refusal(path, f"cannot be read ({error.strerror or error})") from error
         try:
+            packing = packing_of(self._file.read(8))
+            if packing in ("bzip2", "xz", "zstd"):
+                self._file.seek(0)
+                with self._file as packed:
+                    self._file = unpacked(path, packed, packing, on_step)
             self._size = os.fstat(self._file.fileno()).st_size
-            head = self._file.read(8)
-            for magic, packing in _OTHER_PACKINGS.items():
-                if head.startswith(magic):
-                    raise refusal(path, f"is packed with {packing}; give a .tar, a .tar.gz or an unpacked folder")
-            packed = head.startswith(b"\x1f\x8b")
-            self._gzip = GzipReader(path, self._file.fileno(), self._size) if packed else None
+            self._gzip = GzipReader(path, self._file.fileno(), self._size) if packing == "gzip" else None
             self._index(wanted, on_step)
         except BaseException:
             self._file.close()
@@ -99,21 +105,19 @@ class TarFiles:
             self._gzip.check_rest()
 
     def _take(self, member: tarfile.TarInfo, wanted: Callable[[str], bool]) -> None:
-        name = member.name
-        pure = PureWindowsPath(name)  # knows both separators
-        if pure.anchor or name.startswith("/"):
-            raise refusal(self.path, f"member {name} has an absolute path; this archive is not safe")
-        if ".." in pure.parts:
-            raise refusal(self.path, f"member {name} leads out of the archive; this archive is not safe")
-        if member.isdir():
+        name = clean_name(self.path, member.name)
+        # A link may also stand for a folder that would hold something wanted.
+        link = member.issym() or member.islnk()
+        needed = wanted(name) or (link and any(wanted(f"{name}/{file}") for file in _BELOW))
+        if member.isdir() or not needed:
             return
         if not member.isreg() or member.issparse():
-            kind = "a link" if member.issym() or member.islnk() else "a device or another special file"
+            special = "sparse" if member.isreg() else "a device or another special file"
+            kind = "a link" if link else special
             raise refusal(self.path, f"member {name} is {kind}; a data set holds plain files only")
         at, size = member.offset_data, member.size
         if size < 0 or (self._gzip is None and at + size > self._size):
             raise refusal(self.path, f"truncated or corrupt: member {name} claims {size} bytes, more than follow")
-        name = "/".join(part for part in name.split("/") if part not in ("", "."))
         if not wanted(name):
             return
         if not name.isprintable():

@@ -10,8 +10,11 @@ from ovibjax.features.images.pose_table import PoseOptions
 from ovibjax.features.images.released_layout import files_of_towns, read_towns, role_of
 from ovibjax.features.images.source import Files, OnStep, Source
 from ovibjax.features.images.table import read_table
+from ovibjax.features.images.unpacking import packing_of
+from ovibjax.features.images.zip_access import ZipFiles
 
 _TABLES = (".csv", ".tsv", ".txt")
+_ARCHIVES = (".tar", ".tgz", ".tbz2", ".txz", ".tar.gz", ".tar.bz2", ".tar.xz", ".tar.zst", ".tar.zstd", ".zip")
 
 
 def open_source(
@@ -25,8 +28,8 @@ def open_source(
     """Find frames, poses and images.
 
     Args:
-        path: a town's folder (or one that holds towns), its `.tar` or `.tar.gz`, or a `.csv`, `.tsv` or `.txt` of
-            poses.
+        path: a town's folder (or one that holds towns), its archive (`.tar`, packed or not, or `.zip`), or a `.csv`,
+            `.tsv` or `.txt` of poses.
         images: for poses, where images lie, e.g. `images/{view}/{frame}.jpg`, relative to their file.
         n_views: 5 (UAV) or 4 (UGV: Front Back Left Right); by default 5 where there are images of Down.
         on_step: progress.
@@ -57,12 +60,26 @@ def open_source(
     files: Files
     if kind == "folder":
         files = files_of_towns(path)
-    elif path.name.lower().endswith((".tar", ".tar.gz", ".tgz")):
-        files = TarFiles(path, lambda name: role_of(name) is not None, on_step)
+    elif path.name.lower().endswith(_ARCHIVES):
+        files = _open_archive(path, on_step)
     else:
-        raise refusal(path, "is no folder, .tar, .tar.gz or file of poses (.csv, .tsv, .txt)")
+        raise refusal(path, "is no folder, archive (.tar, packed or not, .zip) or file of poses (.csv, .tsv, .txt)")
     try:
-        return read_towns(files, n_views, on_step)
+        return read_towns(files, n_views, names, on_step)
     except BaseException:
         files.close()
         raise
+
+
+def _open_archive(path: Path, on_step: OnStep | None) -> Files:
+    """An archive by what it holds, whatever it is called."""
+
+    def wanted(name: str) -> bool:
+        return role_of(name) is not None
+
+    try:
+        with path.open("rb") as file:
+            packing = packing_of(file.read(8))
+    except OSError as error:
+        raise refusal(path, f"cannot be read ({error.strerror or error})") from error
+    return ZipFiles(path, wanted) if packing == "zip" else TarFiles(path, wanted, on_step)

@@ -7,12 +7,12 @@ from collections import OrderedDict
 from typing import Any, NamedTuple
 
 from ovibjax.errors import StrPath, refusal
+from ovibjax.features.images.unpacking import FREE_BYTES, MAX_RATIO
 
 _CHUNK_BYTES = 256 * 2**10
 _BLOCK_BYTES = 4 * 2**20
 _MARKS = 1024  # each keeps a 32 KB window of the decompressor
 _CACHED_BLOCKS = 12  # five views and the metadata are read side by side
-_MAX_RATIO, _FREE_BYTES = 50, 64 * 2**20  # images hardly shrink; what unpacks to much more is no data set
 
 
 class _Mark(NamedTuple):
@@ -74,8 +74,8 @@ class GzipReader:
 
     def _unpack(self, index: int) -> bytes:
         """One block from its mark; sets the mark of the next block, or the end."""
-        if index * self._block_bytes > _MAX_RATIO * self._size + _FREE_BYTES:
-            raise refusal(self._path, f"unpacks to over {_MAX_RATIO} times its size; these are no images")
+        if index * self._block_bytes > MAX_RATIO * self._size + FREE_BYTES:
+            raise refusal(self._path, f"unpacks to over {MAX_RATIO} times its size; these are no images")
         if index in self._cache:
             return self._cache[index]
         at, state = self._marks[index].at, self._marks[index].state.copy()

@@ -1,6 +1,6 @@
 """The layout of the released data set: images, poses and scenes of towns, in a folder or an archive.
 
-A town is `rgb/<Camera>/<frame>.png` (or .jpg, .jpeg), `metadata/<frame>.json` and, optionally,
+A town is `rgb/<Camera>/<frame>.png` (or .jpg, .jpeg, .webp, .bmp), `metadata/<frame>.json` and, optionally,
 `calibration/camera_calibration.json`; `depth` and `semantic` may be there and are not read. Several towns side by side
 are read as several scenes.
 
@@ -9,6 +9,7 @@ runs clockwise seen from above; those of the embedded town are right-handed and 
 yaw is measured from x towards y, so that (cos yaw, sin yaw) is the heading and errors in metres mean the same.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from ovibjax.features.images.source import Files, Frame, OnStep, Skipped, Source
 from ovibjax.views import VIEWS
 
 _EXPECTED = "rgb/<Camera>/<frame>.png (or .jpg) and metadata/<frame>.json"
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 _CALIBRATION = ("calibration", "camera_calibration.json")
 _STEP_FRAMES = 200
 
@@ -29,17 +30,19 @@ _STEP_FRAMES = 200
 class _Town:
     """Names of the files of one town, by what they are."""
 
-    images: dict[str, dict[str, str]] = field(default_factory=dict)  # camera, frame
+    cameras: dict[str, dict[str, str]] = field(default_factory=dict)  # camera, frame
+    images: dict[str, dict[str, str]] = field(default_factory=dict)  # view, frame
     metadata: dict[str, str] = field(default_factory=dict)  # frame
     calibration: str | None = None
 
 
-def read_towns(files: Files, n_views: int | None, on_step: OnStep | None) -> Source:
+def read_towns(files: Files, n_views: int | None, cameras: Mapping[str, str], on_step: OnStep | None) -> Source:
     """Frames of the towns among some files.
 
     Args:
         files: of a folder or an archive.
         n_views: 5 (UAV) or 4 (UGV); by default 5 where there are images of Down.
+        cameras: the camera of each view, in any case.
         on_step: progress.
 
     Returns:
@@ -49,14 +52,17 @@ def read_towns(files: Files, n_views: int | None, on_step: OnStep | None) -> Sou
         InputError: no town, a camera is missing altogether, a name is unusable, or no frame is left.
     """
     towns = _towns(files)
+    for town in towns.values():
+        _name_views(town, cameras)
     n_views = n_views or (5 if any("Down" in town.images for town in towns.values()) else 4)
     axes, frames, skipped = set(), list[Frame](), list[Skipped]()
     for place, town in towns.items():
         missing = [view for view in VIEWS[:n_views] if view not in town.images]
         where = f"{files.path}/{place}" if place else str(files.path)
         if missing:
-            has = ", ".join(sorted(town.images)[:8])
-            raise refusal(where, f"no images of {', '.join(missing)}; {n_views} views are needed, rgb/ has {has}")
+            has = ", ".join(sorted(town.cameras)[:8])
+            what = f"no images of {', '.join(missing)}; {n_views} views are needed, rgb/ has {has}"
+            raise refusal(where, f"{what}; say which camera is which: --cameras {missing[0]}=NAME")
         if not town.metadata:
             raise refusal(where, f"no poses; expected {_EXPECTED}")
         axes.add(read_axes(files, town.calibration))
@@ -91,7 +97,7 @@ def role_of(name: str) -> tuple[str, str, str, str] | None:
         return None
     if parts[-2:-1] == ["rgb"] and dot + suffix.lower() in _IMAGE_SUFFIXES:
         return "/".join(parts[:-2]), "rgb", parts[-1], stem
-    if parts[-1] == "metadata" and suffix == "json":
+    if parts[-1] == "metadata" and suffix.lower() == "json":
         return "/".join(parts[:-1]), "metadata", "", stem
     return ("/".join(parts[:-1]), "calibration", "", stem) if (parts[-1], file) == _CALIBRATION else None
 
@@ -110,14 +116,23 @@ def _towns(files: Files) -> dict[str, _Town]:
         if kind == "calibration":
             town.calibration = name
             continue
-        known = town.metadata if kind == "metadata" else town.images.setdefault(camera, {})
+        known = town.metadata if kind == "metadata" else town.cameras.setdefault(camera, {})
         if stem in known:
             raise refusal(files.path, f"frame {stem} has two images, {known[stem]} and {name}; remove one")
         known[stem] = name
-    towns = {place: town for place, town in sorted(towns.items()) if town.images}
+    towns = {place: town for place, town in sorted(towns.items()) if town.cameras}
     if not towns:
         raise refusal(files.path, f"holds no data set; expected {_EXPECTED}")
     return towns
+
+
+def _name_views(town: _Town, cameras: Mapping[str, str]) -> None:
+    """Find the images of each view: of the camera of its name, or of the one that has it in other letters."""
+    for view in VIEWS:
+        alike = [camera for camera in town.cameras if camera.lower() == cameras[view].lower()]
+        name = cameras[view] if cameras[view] in alike else alike[0] if len(alike) == 1 else None
+        if name is not None:
+            town.images[view] = town.cameras[name]
 
 
 def _in_order(names: set[str]) -> list[str]:

@@ -2,13 +2,17 @@
 
 import bz2
 import gzip
+import io
 import lzma
 import struct
 import tarfile
+import warnings
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from backports import zstd
 
 from tests.features.images.made_images import encode, pack, pixels, write, write_layout
 from tests.features.images.malformed_frames import FRONT, PICKLE, Builder, features, zipped
@@ -71,15 +75,51 @@ def archives(root: Path) -> Iterator[tuple[str, bytes]]:
     yield "zeros", bytes(10240)
     yield "only other files", member("readme.txt") + bytes(1024)
     yield "text", b"this is no archive\n" * 1000
-    yield "bzip2", bz2.compress(whole)
-    yield "xz", lzma.compress(whole)
-    yield "zip", zipped({"rgb/Front/0.png": b"x"})
+    for name, other in (("bzip2", bz2.compress(whole)), ("xz", lzma.compress(whole)), ("zstd", zstd.compress(whole))):
+        for at in (12, len(other) // 2, len(other) - 6):
+            yield f"{name} cut at {at}", other[:at]
+            yield f"{name} damaged at {at}", other[:at] + b"\xff\x00\xff\x00" + other[at + 4 :]
+        yield f"{name} of text", {"bzip2": bz2, "xz": lzma, "zstd": zstd}[name].compress(b"no archive" * 500)
+    yield "bzip2 bomb", bz2.compress(member("a.png", b"x") + bytes(10**8))
+    packed_zip = zip_of(root / "town")
+    yield "zip without poses", zipped({"rgb/Front/0.png": b"x"})
+    yield "zip cut", packed_zip[: len(packed_zip) // 2]
+    yield "zip cut at its end", packed_zip[:-10]
+    for name in ("../up.png", "/etc/passwd", "a\\..\\..\\up.png", "C:\\up.png"):
+        yield f"zip with {name}", zip_of(root / "town", {name: b"x"})
+    yield "zip with a member twice", zip_of(root / "town", {FRONT: b"x"})
+    yield "zip with a link", zip_of(root / "town", {"rgb/Front/9.png": b"/etc/passwd"}, mode=0o120777)
+    yield "zip with an encrypted image", encrypted(packed_zip)
     yield "pickle", PICKLE
     yield "gzip of text", gzip.compress(b"no archive" * 500)
     yield "gzip bomb", gzip.compress(member("a.png", b"x") + bytes(10**8), 1)
     yield "gzip with a wrong checksum", packed[:-8] + b"\0\0\0\0" + packed[-4:]
     yield "gzip with damaged data", packed[:200] + b"\xff" * 50 + packed[250:]
     yield "gzip with something behind", packed + b"garbage"
+
+
+def zip_of(folder: Path, more: dict[str, bytes] | None = None, mode: int = 0o100644, **options) -> bytes:
+    """The folder's content and more as a zip archive."""
+    stream = io.BytesIO()
+    with warnings.catch_warnings(), zipfile.ZipFile(stream, "w", **options) as archive:
+        warnings.simplefilter("ignore")  # of names that are there twice
+        for file in sorted(folder.rglob("*")):
+            archive.write(file, file.relative_to(folder))
+        for name, content in (more or {}).items():
+            info = zipfile.ZipInfo(name)
+            info.external_attr = mode << 16
+            archive.writestr(info, content)
+    return stream.getvalue()
+
+
+def encrypted(archive: bytes) -> bytes:
+    """The archive with its first image marked as encrypted, in the directory and before its content."""
+    name = FRONT.encode()
+    entry = archive.rindex(b"PK\x01\x02", 0, archive.rindex(name))
+    local = archive.rindex(b"PK\x03\x04", 0, archive.index(name))
+    for at in (entry + 8, local + 6):
+        archive = archive[:at] + b"\x01" + archive[at + 1 :]
+    return archive
 
 
 def _pax(**fields: str) -> bytes:

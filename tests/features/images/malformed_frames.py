@@ -165,7 +165,7 @@ def folders() -> Iterator[tuple[str, Callable[[Path], object]]]:
     yield "image is a pipe", lambda town: [(town / FRONT).unlink(), os.mkfifo(town / FRONT)]
     yield "image is a dangling link", lambda town: [(town / FRONT).unlink(), (town / FRONT).symlink_to("nowhere")]
     yield "metadata is a folder", lambda town: [(town / METADATA).unlink(), (town / METADATA).mkdir()]
-    yield "images of another kind", lambda town: (town / FRONT).rename(town / "rgb/Front/000000.bmp")
+    yield "images of another kind", lambda town: (town / FRONT).rename(town / "rgb/Front/000000.gif")
 
 
 def with_folder(change: Callable[[Path], object]) -> Builder:
