@@ -204,7 +204,25 @@ def kept_in(out: Path, keep_both: bool, compute: "Callable[[Path], xarray.Datase
         return compute(beside), beside
 
 
-def finished_line(dataset: "xarray.Dataset", note: str) -> str:
-    """How many members of a grid are there, all or the shards so far, with a note on them."""
-    there, size = int(dataset.finished.sum()), dataset.finished.size
-    return f"{size} members{note}" if there == size else f"{there} of {size} members{note}"
+class Counted:
+    """Progress of a sweep that also knows how many members were there before.
+
+    Attributes:
+        before: members that were not computed; None until the sweep begins.
+    """
+
+    def __init__(self, update: Callable[[int, int], None]) -> None:
+        self.before: int | None = None
+        self._update = update
+
+    def __call__(self, done: int, total: int) -> None:
+        """Note the first number, and hand on."""
+        self.before = done if self.before is None else self.before
+        self._update(done, total)
+
+
+def finished_line(dataset: "xarray.Dataset", counted: Counted, note: str) -> str:
+    """How many members of a grid are there, all or the shards so far, what was there before, and a note on them."""
+    there, size, before = int(dataset.finished.sum()), dataset.finished.size, counted.before or 0
+    counts = f"{size} members" if there == size else f"{there} of {size} members"
+    return f"{counts}{f' ({before} of them were there)' if before else ''}{note}"

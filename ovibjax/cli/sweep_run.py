@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from ovibjax.cli.options import executor_of, finished_line, integers, kept_in, numbers, require_positive, shard_of
+from ovibjax.cli.options import (
+    Counted,
+    executor_of,
+    finished_line,
+    integers,
+    kept_in,
+    numbers,
+    require_positive,
+    shard_of,
+)
 from ovibjax.cli.processor import settle
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
@@ -95,6 +104,7 @@ class SweepRun:
         axes = asked_axes([entry for entries in self.axis for entry in entries], file)
         shared = data_of(file, axes)
         with progress_bar("computing", 1) as update:
+            counted = Counted(update)
             try:
                 dataset, store = kept_in(
                     self.out,
@@ -108,7 +118,7 @@ class SweepRun:
                         lanes=self.lanes,
                         shard=shard_of(self.shard),
                         executor=executor,
-                        on_progress=update,
+                        on_progress=counted,
                     ),
                 )
             except jax.errors.JaxRuntimeError as error:  # out of memory, a host function that raised
@@ -116,7 +126,7 @@ class SweepRun:
                     f"{self.file}: the program failed as it ran ({_gist(error)}); finished members are kept"
                 ) from error
         diverged = int(dataset.diverged.sum())
-        line = finished_line(dataset, f", {diverged} diverged" if diverged else "")
+        line = finished_line(dataset, counted, f", {diverged} diverged" if diverged else "")
         console.print(f"{line}: {store}\nlook at them: ovibjax show {store}")
 
 

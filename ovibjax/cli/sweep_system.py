@@ -4,7 +4,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from ovibjax.cli.options import finished_line, integers, kept_in, numbers, own_frames, require_positive, shard_of
+from ovibjax.cli.options import (
+    Counted,
+    finished_line,
+    integers,
+    kept_in,
+    numbers,
+    own_frames,
+    require_positive,
+    shard_of,
+)
 from ovibjax.cli.processor import settle
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
@@ -93,6 +102,7 @@ class SweepSystem:
         settings |= {"steps": self.steps, "clients": self.clients, "fleet": self.fleet, "kb_per_s": self.kb_per_s}
         settings |= {"k": along["k"], "V": along["V"], "scheduler": list(schedulers)}
         with progress_bar("training and replaying", 1) as update:
+            counted = Counted(update)
             dataset, store = kept_in(
                 self.out,
                 self.keep_both,
@@ -104,10 +114,10 @@ class SweepSystem:
                     store=store,
                     settings=settings,
                     shard=shard_of(self.shard),
-                    on_progress=update,
+                    on_progress=counted,
                 ),
             )
         lost = int(dataset.unserved.sum())
-        line = finished_line(dataset, f"; {lost} requests exceeded the room kept for them" if lost else "")
+        line = finished_line(dataset, counted, f"; {lost} requests exceeded the room kept for them" if lost else "")
         each = dataset.top_cost.size // dataset.finished.size
         console.print(f"{line}, {each} points each: {store}\nlook at them: ovibjax show {store}")

@@ -5,7 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ovibjax.cli.options import executor_of, finished_line, integers, kept_in, numbers, require_positive, shard_of
+from ovibjax.cli.options import (
+    Counted,
+    executor_of,
+    finished_line,
+    integers,
+    kept_in,
+    numbers,
+    require_positive,
+    shard_of,
+)
 from ovibjax.cli.processor import settle
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
@@ -149,6 +158,7 @@ class SweepTrain:
         settings |= {"steps": self.steps, "batch": self.batch, "latent": self.latent, "prior": self.prior}
         settings |= {"precision": static.precision, "prefix": list(prefixes), "mode": list(modes)}
         with progress_bar("training", 1) as update:
+            counted = Counted(update)
             dataset, store = kept_in(
                 self.out,
                 self.keep_both,
@@ -163,9 +173,9 @@ class SweepTrain:
                     settings=settings,
                     shard=shard_of(self.shard),
                     executor=executor,
-                    on_progress=update,
+                    on_progress=counted,
                 ),
             )
         diverged = int(dataset.diverged.sum())
-        line = finished_line(dataset, f", {diverged} diverged" if diverged else "")
+        line = finished_line(dataset, counted, f", {diverged} diverged" if diverged else "")
         console.print(f"{line}: {store}\nlook at them: ovibjax show {store}")

@@ -86,6 +86,9 @@ def test_a_file_becomes_a_store_and_the_same_command_computes_nothing(folder, do
     done("mine.py", "--out", "a.zarr")
     assert written == {path: path.stat().st_mtime_ns for path in (folder / "a.zarr").rglob("*") if path.is_file()}
     assert sys.path == before and {path.name for path in folder.iterdir()} >= {"a.zarr", "mine.py"}
+    assert "12 members (8 of them were there): a.zarr" in done("mine.py", "--axis", "seed=0:3", "--out", "a.zarr")
+    assert "4 members (4 of them were there): a.zarr" in done("mine.py", "--axis", "seed=2", "--out", "a.zarr")
+    assert dict(open_dataset("a.zarr").sizes) == {"rate": 2, "kind": 2, "flag": 1, "seed": 3}
 
 
 def test_axes_take_other_values(folder, done):
