@@ -28,7 +28,7 @@ def open_backbone(spec: str, options: BackboneOptions = BackboneOptions()) -> Ba
 
         return open_onnx(place, options)
     if options != BackboneOptions():
-        raise InputError(f"backbone {spec!r} takes no options for size, layout, mean, std or output; onnx:FILE does")
+        raise InputError(f"backbone {spec!r} takes no size, layout, mean, std, output or pool; onnx:FILE does")
     if kind == "clip" and (place or ":" not in spec):
         from ovibjax.features.backbones.clip import open_clip
 

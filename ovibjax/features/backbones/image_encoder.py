@@ -25,8 +25,9 @@ class BackboneOptions:
         layout: `nchw` (channels first) or `nhwc`.
         mean: mean of red, green and blue, images in [0, 1].
         std: standard deviation of red, green and blue.
-        output: name of the output to use; the first one with two axes otherwise.
-        side_file: JSON file with any of `size`, `layout`, `mean`, `std`, `output`; `FILE.json` if that exists.
+        output: name of the output to use; the first one with two axes otherwise, or with those that `pool` is for.
+        pool: how an output becomes a vector: `first` or `mean` of [N, T, d] tokens, `mean` or `gem` of [N, C, H, W].
+        side_file: JSON file with any of `size`, `layout`, `mean`, `std`, `output`, `pool`; `FILE.json` if that exists.
     """
 
     size_px: tuple[int, int] | None = None
@@ -34,6 +35,7 @@ class BackboneOptions:
     mean: tuple[float, float, float] | None = None
     std: tuple[float, float, float] | None = None
     output: str | None = None
+    pool: str | None = None
     side_file: Path | None = None
 
 

@@ -1,8 +1,8 @@
 """Any image network saved as ONNX, run by onnxruntime on the CPU: the backbone `onnx:FILE`.
 
 What the options leave open comes from the side file (`FILE.json` beside the model, keys `size`, `layout`, `mean`,
-`std`, `output`), then from the model's declared input shape, then from CLIP: 224 x 224 px, channels first, CLIP's
-channel means and deviations. Images are scaled to cover the input (bicubic) and cut in the middle, as CLIP does.
+`std`, `output`, `pool`), then from the model's declared input shape, then from CLIP: 224 x 224 px, channels first,
+CLIP's channel means and deviations. Images are scaled to cover the input (bicubic) and cut in the middle, as CLIP does.
 """
 
 import json
@@ -26,10 +26,12 @@ from ovibjax.features.backbones.image_encoder import (
     normalise,
     resize_and_crop,
 )
+from ovibjax.features.backbones.onnx_errors import cause_of
 from ovibjax.features.backbones.onnx_files import model_files
+from ovibjax.features.backbones.onnx_outputs import POOLS, choose_output, vectors
 from ovibjax.runtime.batches import padded_batches
 
-SIDE_KEYS = ("size", "layout", "mean", "std", "output")
+SIDE_KEYS = ("size", "layout", "mean", "std", "output", "pool")
 _MAX_SIDE_BYTES = 64 * 1024
 _MAX_SIZE_PX = 4096
 _BATCH = 16
@@ -54,7 +56,7 @@ def open_onnx(file: str, options: BackboneOptions) -> Backbone:
 
     Args:
         file: the model.
-        options: size, layout, mean, std, output; see the module.
+        options: size, layout, mean, std, output, pool; see the module.
 
     Returns:
         The backbone; features have whatever dimension the output has.
@@ -75,9 +77,10 @@ def open_onnx(file: str, options: BackboneOptions) -> Backbone:
     try:
         session = onnxruntime.InferenceSession(str(path), settings, providers=["CPUExecutionProvider"])
     except Exception as error:
-        raise refusal(path, f"onnxruntime cannot load it ({_brief(error)})") from error
+        raise refusal(path, f"cannot be loaded: {cause_of(error, onnxruntime.__version__)}") from error
     entry = _entry(path, session, choices)
-    output = _output_name(path, session, choices["output"])
+    pool = choices["pool"]
+    output = choose_output(path, session.get_outputs(), choices["output"], pool)
     batch_size = entry.batch or _BATCH
 
     def embed(inputs: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -86,19 +89,16 @@ def open_onnx(file: str, options: BackboneOptions) -> Backbone:
             try:
                 found = session.run([output] if output else None, {entry.name: batch.astype(entry.dtype)})
             except Exception as error:
-                raise refusal(path, f"the model fails on its input of shape {batch.shape} ({_brief(error)})") from error
-            flat = [array for array in found if getattr(array, "ndim", 0) == 2 and len(array) == len(batch)]
-            if not flat:
-                shapes = ", ".join(str(getattr(array, "shape", "?")) for array in found)
-                raise refusal(path, f"no output of shape [batch, d] but {shapes}; name another output")
-            parts.append(flat[0][:count].astype(np.float32))
+                cause = cause_of(error, onnxruntime.__version__)
+                raise refusal(path, f"the model fails on its input of shape {batch.shape}: {cause}") from error
+            parts.append(vectors(path, found, len(batch), pool, entry.layout)[:count])
         return np.concatenate(parts)
 
     def preprocess(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         return normalise(resize_and_crop(rgb, entry.size_px), entry.mean, entry.std, entry.layout)
 
     try:
-        mark = fingerprint("onnx", onnxruntime.__version__, repr((entry, output)), *model_files(path))
+        mark = fingerprint("onnx", onnxruntime.__version__, repr((entry, output, pool)), *model_files(path))
     except OSError as error:
         raise refusal(path, f"cannot be read ({error.strerror})") from error
     return Backbone(f"onnx:{file}", mark, preprocess, embed)
@@ -109,7 +109,7 @@ def _choices(path: Path, options: BackboneOptions) -> dict[str, Any]:
     side = options.side_file or path.with_name(path.name + ".json")
     stated = _side_file(side) if options.side_file or side.is_file() else {}
     given = {"size": options.size_px, "layout": options.layout, "mean": options.mean, "std": options.std}
-    given["output"] = options.output
+    given |= {"output": options.output, "pool": options.pool}
     chosen: dict[str, Any] = {}
     for key in SIDE_KEYS:
         source, value = (path, given[key]) if given[key] is not None else (side, stated.get(key))
@@ -148,6 +148,8 @@ def _checked(source: Path, key: str, value: Any) -> Any:
         raise refusal(source, f"{key} {value!r} is not three numbers{' above zero' if key == 'std' else ''}")
     if key == "layout" and value not in LAYOUTS:
         raise refusal(source, f"layout {value!r} is not one of {', '.join(LAYOUTS)}")
+    if key == "pool" and value not in POOLS:
+        raise refusal(source, f"pool {value!r} is not one of {', '.join(POOLS)}")
     if not isinstance(value, str):
         raise refusal(source, f"{key} {value!r} is not a name")
     return value
@@ -174,18 +176,3 @@ def _entry(path: Path, session: Any, choices: dict[str, Any]) -> _Input:
         raise refusal(path, f"input has shape {declared.shape}, which is not {layout} images of {size[0]} x {size[1]}")
     mean, std = choices["mean"] or CLIP_MEAN, choices["std"] or CLIP_STD
     return _Input(declared.name, _DTYPES[declared.type], shape[0], size, layout, mean, std)
-
-
-def _output_name(path: Path, session: Any, wanted: str | None) -> str | None:
-    """The output to use; None if no output declares two axes, so that running the model must tell."""
-    outputs = session.get_outputs()
-    names = [output.name for output in outputs]
-    if wanted is not None:
-        if wanted not in names:
-            raise refusal(path, f"has no output {wanted!r}; it has {', '.join(names)}")
-        return wanted
-    return next((output.name for output in outputs if output.shape is not None and len(output.shape) == 2), None)
-
-
-def _brief(error: Exception) -> str:
-    return " ".join(str(error).split())[:160]

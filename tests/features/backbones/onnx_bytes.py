@@ -21,7 +21,9 @@ def _field(number: int, value: int | str | bytes) -> bytes:
     return _varint(number << 3 | 2) + _varint(len(content)) + content
 
 
-def _value(name: str, shape: tuple[int | str, ...], kind: int = FLOAT) -> bytes:
+def _value(name: str, shape: tuple[int | str, ...] | None, kind: int = FLOAT) -> bytes:
+    if shape is None:
+        return _field(1, name) + _field(2, _field(1, _field(1, kind)))
     dims = b"".join(_field(1, _field(1 if isinstance(n, int) else 2, n)) for n in shape)
     return _field(1, name) + _field(2, _field(1, _field(1, kind) + _field(2, dims)))
 
@@ -32,7 +34,8 @@ def _node(op: str, inputs: tuple[str, ...], output: str) -> bytes:
 
 def _tensor(name: str, array: np.ndarray) -> bytes:
     dims = b"".join(_field(1, n) for n in array.shape)
-    return dims + _field(2, FLOAT) + _field(8, name) + _field(9, array.astype("<f4").tobytes())
+    kind, dtype = (INT64, "<i8") if array.dtype.kind == "i" else (FLOAT, "<f4")
+    return dims + _field(2, kind) + _field(8, name) + _field(9, array.astype(dtype).tobytes())
 
 
 def external(name: str, shape: tuple[int, ...], location: str, offset: int = 0) -> bytes:
@@ -72,6 +75,20 @@ def external_product(shape: tuple[int, int], location: str) -> bytes:
     nodes += [("MatMul", ("pooled", "weight"), "feature")]
     weights = {"weight": external("weight", shape, location)}
     return model(nodes, weights, [("image", ("n", 3, "h", "w"))], [("feature", ("n", shape[1]))])
+
+
+def with_versions(content: bytes, ir: int = 8, opset: int = 13) -> bytes:
+    """A model of `model` that claims other versions."""
+    head, tail = _field(1, 8), _field(8, _field(2, 13))
+    return _field(1, ir) + content[len(head) : -len(tail)] + _field(8, _field(2, opset))
+
+
+def reshaped(*shapes: tuple[int, ...], declared: bool = True) -> bytes:
+    """The image in other shapes, an output each; 0 keeps the batch."""
+    nodes = [("Reshape", ("image", f"shape{n}"), f"out{n}") for n in range(len(shapes))]
+    weights = {f"shape{n}": np.array(shape) for n, shape in enumerate(shapes)}
+    outputs = [(f"out{n}", ("n", *shape[1:]) if declared else None) for n, shape in enumerate(shapes)]
+    return model(nodes, weights, [("image", ("n", 3, 4, 4))], outputs)
 
 
 def flat_product(weight: np.ndarray, shape: tuple[int | str, ...]) -> bytes:

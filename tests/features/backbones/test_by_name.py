@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ovibjax.errors import InputError
+from ovibjax.errors import Doubt, InputError
 from ovibjax.features.backbones.by_name import BackboneOptions, open_backbone
 from ovibjax.features.backbones.image_encoder import CLIP_MEAN, CLIP_STD, resize_and_crop
 from ovibjax.features.backbones.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed
@@ -95,10 +95,11 @@ class TestOnnx:
         expected = (means - CLIP_MEAN) / CLIP_STD @ WEIGHT
         assert got.shape == (19, 20) and got.dtype == np.float32
         np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5)
-        # Without a name: the first output with two axes, and CLIP's input size.
-        pooled = self.features(spec, images[:1])
-        assert pooled.shape == (1, 3)
-        assert open_backbone(spec).preprocess(images[0]).shape == (3, 224, 224)
+        # Without a name: the first output with two axes, which is said, and CLIP's input size.
+        with pytest.warns(Doubt, match=r"output pooled \[n, 3\] is taken.*feature \[n, 20\].*--output"):
+            backbone = open_backbone(spec)
+        inputs = backbone.preprocess(images[0])
+        assert inputs.shape == (3, 224, 224) and backbone.embed(inputs[None]).shape == (1, 3)
 
     @pytest.mark.parametrize("batch", [1, 4, "n"])
     def test_fixed_and_dynamic_batch_channels_last(self, tmp_path, batch):
@@ -118,7 +119,7 @@ class TestOnnx:
         assert self.features(spec, [rgb], output="pooled").shape == (1, 3)
         marks = {open_backbone(spec, options).fingerprint for options in (BackboneOptions(), BackboneOptions((9, 9)))}
         other = tmp_path / "other.json"
-        other.write_text('{"size": 9}')
+        other.write_text('{"size": 9, "output": "feature"}')
         marks.add(open_backbone(spec, BackboneOptions(side_file=other)).fingerprint)
         self.write(tmp_path, onnx_bytes.pooled_product(2 * WEIGHT))
         marks.add(open_backbone(spec).fingerprint)
