@@ -91,10 +91,9 @@ def table_rows(scene: str, what: Description, setting: str, n_scenes: int | None
     for name, count in zip(("training", "validation", "test"), what.parts, strict=True):
         values.append((f"{name} frames", "", str(count)))
     values += [("views", "", str(what.views)), ("feature dimension", "", str(what.dim))]
-    values += [("route length", "m", f"{what.route_m:.0f}" if what.route_m >= 100 else f"{what.route_m:.2f}")]
-    values += [("breaks in the route", "", str(what.breaks)), ("spacing of frames", "m", f"{what.spacing_m:.2f}")]
-    nearest = f"{what.nearest_m:.2f}" if np.isfinite(what.nearest_m) else "-"
-    values.append(("test frame to nearest training frame", "m", nearest))
+    lengths = {"route length": what.route_m, "breaks in the route": what.breaks, "spacing of frames": what.spacing_m}
+    lengths["test frame to nearest training frame"] = what.nearest_m
+    values += [(name, "" if isinstance(length, int) else "m", _length(length)) for name, length in lengths.items()]
     for name, span in zip(("width along x", "width along y", "height range"), what.extent_m, strict=True):
         values.append((name, "m", f"{span:.1f}"))
     values += [(name, "%", f"{100 * share:.1f}") for name, share in zip(NAMES, what.context_share, strict=True)]
@@ -103,6 +102,12 @@ def table_rows(scene: str, what: Description, setting: str, n_scenes: int | None
         {"scene": scene, "quantity": name, "unit": unit, "ours": ours, "paper": paper.get(name, "-")}
         for name, unit, ours in values
     ]
+
+
+def _length(length: float) -> str:
+    """A length in metres, or a count; "-" where there is none."""
+    digits = 0 if isinstance(length, int) or length >= 100 else 2
+    return f"{length:.{digits}f}" if np.isfinite(length) else "-"
 
 
 def split_claim(whole: Description) -> Claim:
@@ -122,10 +127,11 @@ def caption(whole: Description, scenes: list[int], setting: str, embedded: bool)
     shown = f"; the first {MAX_PICTURES} of {len(scenes)} scenes are shown" if len(scenes) > MAX_PICTURES else ""
     views = " Below: the five views at the ringed place." if embedded else ""
     beside = "; workloads.csv sets all seven of its workloads beside the embedded ones" if embedded else ""
+    route = "Route length and spacing follow the order within a scene; steps over ten times the median count as breaks."
+    order = route if np.isfinite(whole.route_m) else "The frames are places in no order: there is no route."
     return (
         f"Positions of the {whole.frames} frames from above, coloured by context{shown}.{views} The table gives the "
-        f"paper's numbers for its set {setting!r}{beside}. Route length and spacing follow the order of the "
-        "frames within a scene; steps over ten times the median count as breaks."
+        f"paper's numbers for its set {setting!r}{beside}. {order}"
     )
 
 

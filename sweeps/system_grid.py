@@ -59,7 +59,7 @@ def run(job: Job) -> None:
     started = time.perf_counter()
     preset = PRESETS[job.preset]
     with job.stage("render"), progress_bar("rendering the routes", 1) as update:
-        drives, training = drives_of(preset.scene, job.own_features, update)
+        drives, training = drives_of(preset.scene, job.own_drive, update)
     seeds = [job.seed + i for i in range(preset.seeds)]
     axes = {"beta": list(preset.betas), "gamma": list(preset.gammas), "seed": seeds}
     along = (preset.ks, preset.Vs, POLICIES)

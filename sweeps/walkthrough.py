@@ -39,7 +39,7 @@ def run(job: Job) -> None:
     #    them once and keeps them; your own frames come as one feature set, the first 60 % for training.
     scene = "smoke" if job.preset == "smoke" else "full"
     with job.stage("render"), progress_bar("rendering the routes", 1) as update:
-        drives, training = drives_of(scene, job.own_features, update)
+        drives, training = drives_of(scene, job.own_drive, update)
 
     # 2. A grid. Axes that training depends on; then prefixes, values of V and rules, which cost no training.
     size = SIZES[job.preset]

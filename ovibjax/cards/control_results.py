@@ -26,7 +26,7 @@ def study(job: Job) -> ControlStudy:
         The study; computed once per process.
     """
     with job.stage("render"), progress_bar("rendering the routes", 1) as update:
-        drives, training = drives_of(job.preset, job.own_features, update)
+        drives, training = drives_of(job.preset, job.own_drive, update)
     with console.status("searching prices, replaying held-out seeds"):
         return control_study(job.preset, job.seed, drives, training, job.stage)
 

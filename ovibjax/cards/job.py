@@ -13,6 +13,7 @@ from typing import Any
 import xarray
 
 from ovibjax.features.frames import FeatureSet
+from ovibjax.features.sequence import require_drive
 from ovibjax.report.provenance import provenance
 from ovibjax.runtime.cache import cache_folder
 from ovibjax.runtime.progress import progress_bar
@@ -48,6 +49,7 @@ class Job:
         rank: coordinates kept per view; None keeps all.
         queries: the second feature set of a card that takes references and queries; None for embedded data.
         stages: where its time goes.
+        order: what somebody said their frames are, one of `features.sequence.ORDERS`; None as they look.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Job:
     rank: int | None
     queries: FeatureSet | None = None
     stages: Stages = field(default_factory=Stages)
+    order: str | None = None
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Count the time of a `with` block to a stage.
@@ -131,6 +134,11 @@ class Job:
     def own_features(self) -> FeatureSet | None:
         """The user's feature set; None for the embedded town, where a card may drive elsewhere."""
         return None if self.embedded else self.features
+
+    @property
+    def own_drive(self) -> FeatureSet | None:
+        """The user's feature set as a drive; None for the embedded town. InputError where it is none."""
+        return None if self.embedded else require_drive(self.features, self.source, self.order)
 
     def record(self, title: str, caption: str, seeds: Iterable[int], started: float, **facts: Any) -> None:
         """Write `provenance.json`: what every card says of itself, and its own facts.

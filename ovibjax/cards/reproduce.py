@@ -13,11 +13,13 @@ from ovibjax.cards.job import PRESETS, CardInterrupted, Job
 from ovibjax.cards.loading import load_features, load_pair
 from ovibjax.errors import InputError
 from ovibjax.features.frames import FeatureSet
+from ovibjax.features.sequence import sequence_of
 from ovibjax.report.page import write_page
 from ovibjax.runtime.progress import console
 from ovibjax.runtime.stage_times import Stages
 
 
+# Its parameters are the options of the command.
 def reproduce(
     preset: str = "quick",
     only: Sequence[str] = (),
@@ -26,6 +28,7 @@ def reproduce(
     seed: int = 100,
     sweep: Path | None = None,
     rank: int | None = 64,
+    order: str | None = None,
 ) -> Path:
     """Run cards and write their figures, tables and claims.
 
@@ -37,6 +40,7 @@ def reproduce(
         seed: first seed.
         sweep: a card of the user's own, run instead.
         rank: coordinates kept per view; None keeps all.
+        order: what the frames of `data` are, one of `features.sequence.ORDERS`; None as they look.
 
     Returns:
         The results page.
@@ -59,13 +63,16 @@ def reproduce(
         features, queries = _load(data, cards, preset, seed)
     _print_stages("data", loading)
     source = str(data[0]) if data else "embedded"
+    if data:
+        looks = sequence_of(features.positions_m, features.scene_id).line()
+        console.print(f"{source}: {looks}", markup=False, highlight=False)
     _check_writable(out)
     for name in left_out:
         console.print(f"{name}: left out, it takes references and queries (--only {name} --data REF QUERY)")
     job = partial(Job, preset=preset, seed=seed, features=features, source=source, rank=rank, queries=queries)
     # Of all figures, those that somebody's data do not allow are named, and the others made.
     lenient = bool(data) and not chosen
-    if not _run_cards(cards, lambda name: job(name=name, out=out / name), lenient):
+    if not _run_cards(cards, lambda name: job(name=name, out=out / name, order=order), lenient):
         raise InputError(f"{source}: allows no figure; the reasons are above")
     return out / "README.md"
 

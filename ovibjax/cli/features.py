@@ -59,6 +59,9 @@ class Features:
     """Form of a file of poses, where it is not recognised: table, tum, kitti, euroc, airsim or colmap."""
     columns: tuple[str, ...] = ()
     """Which columns of a table are meant: frame=id x_m=x y_m=y z_m=z yaw_deg=yaw."""
+    order: str | None = None
+    """The column of a table that its frames are put in order by, numbers or dates; by default a column time, time_s or
+    timestamp, or else the table's own order."""
     axes: str | None = None
     """Which way x, y and z of the poses point, for the world and, after a slash, the body: three of f b l r u d, or of
     e w n s u d. ned; enu/rdf is a camera looking along z; rdf is KITTI; lat-lon-alt are degrees."""
@@ -77,11 +80,12 @@ class Features:
         from ovibjax.features.images.by_path import open_source
         from ovibjax.features.images.extraction import check_out, extract
         from ovibjax.features.images.pose_table import PoseOptions
+        from ovibjax.features.sequence import sequence_of
         from ovibjax.features.splits import MIN_FRAMES
 
         check_out(self.out)
         with _steps() as on_step:
-            options = PoseOptions(self.poses, self.columns, self.axes)
+            options = PoseOptions(self.poses, self.columns, self.axes, self.order)
             source = open_source(self.src, self.images, self.views, on_step, options, self.cameras)
         if source.form:
             _say(f"poses: {self.src}: {source.form}")
@@ -101,6 +105,8 @@ class Features:
         again = f" ({done.resumed} of them from the interrupted run)" if done.resumed else ""
         _say(f"kept {n} of {n + len(skipped)} frames{again}; axes: {source.axes}")
         _say(f"features: {self.out} [{n}, {views}, {dim}]")
+        over = "; what was left out is passed in one step" if skipped else ""
+        _say(f"order: {sequence_of(done.features.positions_m, done.features.scene_id).line()}{over}")
         if n < MIN_FRAMES:
             _say(f"note: ovibjax reproduce needs at least {MIN_FRAMES} frames")
 

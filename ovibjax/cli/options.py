@@ -101,26 +101,28 @@ def require_positive(command: object, *names: str) -> None:
             raise InputError(f"--{name} {value} is not positive")
 
 
-def own_frames(data: Path | None) -> "FeatureSet | None":
-    """Somebody's feature set, if one is given.
+def own_drive(data: Path | None, order: str | None) -> "FeatureSet | None":
+    """Somebody's frames along a drive, if some are given.
 
     Args:
         data: `.npz` or folder; None for embedded data.
+        order: what somebody said that the frames are, one of `features.sequence.ORDERS`; None as they look.
 
     Returns:
         The feature set, or None.
 
     Raises:
-        InputError: unreadable data, or too few frames.
+        InputError: unreadable data, too few frames, or places in no order.
     """
     if data is None:
         return None
     from ovibjax.features.feature_files import load
+    from ovibjax.features.sequence import require_drive
     from ovibjax.features.splits import require_frames
 
     own = load(data)
     require_frames(own, source=str(data))
-    return own
+    return require_drive(own, data, order)
 
 
 def executor_of(on: str, address: str | None) -> "Executor | None":

@@ -5,9 +5,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from ovibjax.cli.options import own_frames
+from ovibjax.cli.options import own_drive
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar, width_of
 
@@ -52,6 +52,8 @@ class Replay:
     data: Path | None = None
     """Your own frames, in order and half a second apart (.npz or folder, see `ovibjax reproduce --help`): the first
     60 % are the training route, the rest is replayed."""
+    order: Literal["drive", "places"] | None = None
+    """Whether the frames of --data are a drive in their order, or places in no order; by default as they look."""
     budget: float = 2.1
     """Payload allowed over the route, KB."""
     drift: float = 1.0
@@ -90,7 +92,7 @@ class Replay:
         from ovibjax.link.traces import resample
 
         measured = self._measured()
-        own = own_frames(self.data)
+        own = own_drive(self.data, self.order)
         with progress_bar("rendering the routes", 1) as update:
             drives, training = drives_of("full", own, update)
         with console.status("training the checkpoint, retrieving residuals"):

@@ -31,6 +31,9 @@ class Reproduce:
     """First seed; a figure over n seeds uses SEED ... SEED+n-1. Seeds below 100 are for tuning."""
     rank: int = 64
     """Principal coordinates kept per view (fitted on training frames); 0 keeps the full dimension, slower."""
+    order: Literal["drive", "places"] | None = None
+    """Whether the frames of --data are a drive in their order, or places in no order; by default as they look. Request
+    control, scheduling and the whole system need a drive."""
     sweep: Path | None = None
     """A sweep file of your own (a Python file with TITLE and run(job)), run instead of the figures."""
 
@@ -45,5 +48,5 @@ class Reproduce:
                 "and pass the file with --data"
             )
         rank = self.rank if self.rank != 0 else None
-        page = reproduce(self.preset, self.only, self.out, self.data, self.seed, self.sweep, rank)
+        page = reproduce(self.preset, self.only, self.out, self.data, self.seed, self.sweep, rank, self.order)
         console.print(f"results: {page}")

@@ -10,7 +10,7 @@ from ovibjax.cli.options import (
     integers,
     kept_in,
     numbers,
-    own_frames,
+    own_drive,
     require_positive,
     shard_of,
 )
@@ -58,6 +58,8 @@ class SweepSystem:
     """Uplink rate, KB/s of 1,024 bytes."""
     data: Path | None = None
     """Your own feature set: frames of one route in order, half a second apart, the first 60 % for training."""
+    order: Literal["drive", "places"] | None = None
+    """Whether the frames of --data are a drive in their order, or places in no order; by default as they look."""
     shard: str | None = None
     """i/n, e.g. 3/16: compute a sixteenth of the members, so that 16 commands fill one OUT (or several, see merge)."""
     threads: int | None = None
@@ -94,7 +96,7 @@ class SweepSystem:
         from ovibjax.system.data import SystemSize
         from ovibjax.system.grids import sweep_system
 
-        own = own_frames(self.data)
+        own = own_drive(self.data, self.order)
         with progress_bar("rendering the routes", 1) as update:
             drives, training = drives_of("full", own, update)
         size = SystemSize(steps=self.steps, clients=self.clients, fleet=self.fleet, kb_per_s=self.kb_per_s)

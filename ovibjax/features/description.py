@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ovibjax.features.frames import CONTEXTS, FeatureSet
+from ovibjax.features.sequence import sequence_of
 from ovibjax.features.splits import Split
-
-_BREAK = 10.0  # a step this many times the median is no movement but the start of another drive
 
 
 class Description(NamedTuple):
@@ -20,9 +19,9 @@ class Description(NamedTuple):
         parts: training, validation and test frames.
         views: views per frame.
         dim: dimension of a view's feature.
-        route_m: length of the drives in the order of the frames, breaks left out.
+        route_m: length of the drives in the order of the frames, breaks left out; NaN for places in no order.
         breaks: jumps between consecutive frames of a scene, over ten times the median step.
-        spacing_m: median distance between consecutive frames.
+        spacing_m: median distance between consecutive frames, stops left out; NaN for places in no order.
         nearest_m: median distance from a test frame to the nearest training frame of its scene; NaN without either.
         extent_m: width along x, width along y, height range.
         context_share: share of frames per context of `CONTEXTS`, then of unknown context.
@@ -53,11 +52,8 @@ def describe(feature_set: FeatureSet, split: Split, scene: int | None = None) ->
     """
     scenes = np.unique(feature_set.scene_id) if scene is None else np.array([scene])
     members = [np.flatnonzero(feature_set.scene_id == one) for one in scenes]
-    steps = [_steps_m(feature_set.positions_m[rows]) for rows in members]
-    joined = np.concatenate(steps)
-    typical = float(np.median(joined)) if joined.size else 0.0
-    moved = joined <= _BREAK * typical
     rows = np.concatenate(members)
+    order = sequence_of(feature_set.positions_m[rows], feature_set.scene_id[rows])
     train, val, test = (int(np.isin(part, rows).sum()) for part in split)
     nearest = np.concatenate([_nearest_m(feature_set, split, one) for one in members])
     context = feature_set.context[rows]
@@ -68,17 +64,13 @@ def describe(feature_set: FeatureSet, split: Split, scene: int | None = None) ->
         parts=(train, val, test),
         views=feature_set.features.shape[1],
         dim=feature_set.features.shape[2],
-        route_m=float(joined[moved].sum()),
-        breaks=int((~moved).sum()),
-        spacing_m=typical,
+        route_m=order.length_m if order.is_drive else float("nan"),
+        breaks=order.jumps,
+        spacing_m=order.step_m if order.is_drive else float("nan"),
         nearest_m=float(np.median(nearest)) if nearest.size else float("nan"),
         extent_m=(*np.max(spans, axis=0).tolist(),),
         context_share=tuple(float((context == code).mean()) for code in codes),
     )
-
-
-def _steps_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
 
 
 def _nearest_m(feature_set: FeatureSet, split: Split, rows: NDArray[np.int64]) -> NDArray[np.float64]:

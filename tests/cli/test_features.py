@@ -29,6 +29,7 @@ def test_a_table_becomes_a_feature_file(tmp_path: Path) -> None:
         "2: images/Left/2.png: not a PNG, JPEG, WebP or BMP image",
         "kept 2 of 4 frames; axes: as given, yaw from x towards y",
         "features: mine.npz [2, 5, 512]",
+        "order: a drive of 3.606 m, 3.61 m from frame to frame (median); what was left out is passed in one step",
         "note: ovibjax reproduce needs at least 200 frames",
     ]
     made, backbone = load(tmp_path / "mine.npz"), open_backbone("embedded")

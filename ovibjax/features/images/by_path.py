@@ -55,7 +55,7 @@ def open_source(
     if kind == "file" and path.suffix.lower() in _TABLES:
         return read_table(path, images, n_views, poses, names)
     if images is not None or poses != PoseOptions():
-        option = "--images" if images is not None else "--poses, --columns or --axes"
+        option = "--images" if images is not None else "--poses, --columns, --axes or --order"
         raise refusal(path, f"{option} belongs to a table of poses; folders and archives have their own layout")
     files: Files
     if kind == "folder":

@@ -52,10 +52,11 @@ def read_poses(path: Path, text: str, options: PoseOptions, front: str) -> Poses
     if options.form not in (None, *FORMS):
         raise InputError(f"--poses {options.form}: no such form; there are {', '.join(FORMS)}")
     form = options.form or _form(path, text)
-    if form != "table" and options.columns:
-        raise refusal(path, f"is read as {form}, whose columns are fixed; leave out --columns, or add --poses table")
+    if form != "table" and (options.columns or options.order):
+        option = "--columns" if options.columns else "--order"
+        raise refusal(path, f"is read as {form}, whose columns are fixed; leave out {option}, or add --poses table")
     if form == "table":
-        return read_table_of_poses(path, text, options.columns)
+        return read_table_of_poses(path, text, options.columns, options.order)
     if form == "colmap":
         return _colmap(path, text, front)
     return _READERS[form](path, text)

@@ -6,6 +6,7 @@
 | `x_m`, `y_m`, `z_m`                     | position in metres, or in degrees under `--axes lat-lon-alt`|
 | `yaw_deg` or `yaw_rad`                  | heading, from x towards y                                   |
 | `qw`, `qx`, `qy`, `qz`                  | instead of yaw: rotation of the body, which looks along x   |
+| `time`, `time_s` or `timestamp`         | optional: frames are put in this order                      |
 | `scene`, `context`                      | optional                                                    |
 | `Front`, `Back`, `Left`, `Right`, `Down`| optional: name of each view's image                         |
 
@@ -14,7 +15,9 @@ Names of columns are taken in any case. `--columns frame=id yaw_rad=heading` say
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 from ovibjax.errors import InputError, refusal
@@ -36,6 +39,7 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 YAW = {"yaw_deg": math.pi / 180, "yaw_rad": 1.0}
 OPTIONAL = ("scene", "context", *VIEWS)
 NEEDED = "frame,x_m,y_m,z_m,yaw_deg (or yaw_rad, or qw,qx,qy,qz)"
+TIMES = ("time", "time_s", "timestamp")
 _KNOWN = ("frame", *POSITION, *YAW, *QUATERNION, *OPTIONAL)
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}
 
@@ -48,11 +52,13 @@ class PoseOptions:
         form: `table`, `tum`, `kitti`, `euroc`, `airsim` or `colmap`; None to find out.
         columns: `NAME=COLUMN`, which column of a table is meant by a known name.
         axes: a code of `features.images.axes`; None for what is usual for the form.
+        order: the column that frames are put in order by; None for one of time, if there is any.
     """
 
     form: str | None = None
     columns: tuple[str, ...] = ()
     axes: str | None = None
+    order: str | None = None
 
 
 @dataclass
@@ -94,14 +100,22 @@ class Poses:
         self.wrong.append(wrong)
         self.cells.append({})
 
+    def arrange(self, rows: Sequence[int]) -> None:
+        """Put the poses in the order of some rows."""
+        for name in ("frame", "line", "position", "yaw_rad", "quaternion", "wrong", "cells"):
+            values = getattr(self, name)
+            if values:
+                setattr(self, name, [values[row] for row in rows])
 
-def read_table_of_poses(path: Path, text: str, columns: Sequence[str] = ()) -> Poses:
+
+def read_table_of_poses(path: Path, text: str, columns: Sequence[str] = (), order: str | None = None) -> Poses:
     """Poses of a table with named columns.
 
     Args:
         path: what to call the file.
         text: its content.
         columns: see `PoseOptions`.
+        order: see `PoseOptions`.
 
     Returns:
         The poses; a cell that says that there is no value makes its pose incomplete.
@@ -115,12 +129,14 @@ def read_table_of_poses(path: Path, text: str, columns: Sequence[str] = ()) -> P
     rows: Rows = ((lines.number, cells) for cells in cells_of(path, lines, separator, strict=True))
     line, names = next(rows, (0, [""]))
     where = _columns(path, line, names, columns)
+    by_time = _order_column(path, line, names, order)
     numbers = {name: where[name] for name in (*POSITION, *YAW, *QUATERNION) if name in where}
     if separator in "; \t":
         rows = with_points(path, rows, frozenset(numbers.values()))
-    ignored = [name for at, name in enumerate(names) if at not in where.values()]
+    ignored = [name for at, name in enumerate(names) if at not in (*where.values(), by_time)]
     not_read = f", not read {', '.join(ignored)[:80]}" if ignored else ""
     read = (name if names[at].lower() == name.lower() else f"{name} from {names[at]}" for name, at in where.items())
+    times: list[str] = []
     poses = Poses(f"table with {_SEPARATORS[separator]}, {', '.join(read)}{not_read}")
     poses.turn = next(((name, names[where[name]]) for name in YAW if name in where), ("", ""))
     for line, cells in rows:
@@ -129,7 +145,42 @@ def read_table_of_poses(path: Path, text: str, columns: Sequence[str] = ()) -> P
         if len(cells) != len(names):
             raise refusal(path, f"{len(cells)} values for {len(names)} columns", line)
         _take(path, line, poses, {name: cells[at] for name, at in where.items()}, list(numbers))
+        if by_time is not None:
+            times.append(cells[by_time])
+    if by_time is not None:
+        _arrange(path, poses, names[by_time], times, asked=order is not None)
     return poses
+
+
+def _order_column(path: Path, line: int, names: Sequence[str], order: str | None) -> int | None:
+    """Where the column stands that frames are put in order by."""
+    for wanted in TIMES if order is None else (order,):
+        found = [at for at, name in enumerate(names) if name.lower() == wanted.lower()]
+        if found:
+            return found[0]
+    if order is not None:
+        raise refusal(path, f"--order {order}: no such column; there are {', '.join(names)[:100]}", line or None)
+    return None
+
+
+def _arrange(path: Path, poses: Poses, column: str, times: Sequence[str], asked: bool) -> None:
+    """Put poses in order of time; a column that only happens to be called so, and is no time, changes nothing."""
+    found: list[float] = []
+    for line, cell in zip(poses.line, times, strict=True):
+        value = number_of(cell)
+        if value is None:
+            with suppress(ValueError):
+                value = datetime.fromisoformat(cell).timestamp()
+        if value is None or not math.isfinite(value):
+            if asked:
+                raise refusal(path, f"{column} is {quoted(cell)}, neither a number nor a date such as 2024-05-31", line)
+            poses.form += f", {column} not read (in line {line} it is {quoted(cell)}, no time)"
+            return
+        found.append(value)
+    rows = sorted(range(len(found)), key=lambda row: found[row])
+    poses.arrange(rows)
+    moved = sum(at != row for at, row in enumerate(rows))
+    poses.form += f", in order of {column}" + (f" ({moved} moved)" if moved else "")
 
 
 def _take(path: Path, line: int, poses: Poses, row: Mapping[str, str], numbers: Sequence[str]) -> None:
