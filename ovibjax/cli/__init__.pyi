@@ -1,5 +1,6 @@
 from .best import Best as Best
 from .commands import check_options as check_options
+from .doctor import Doctor as Doctor
 from .features import Features as Features
 from .replay import Replay as Replay
 from .reproduce import Reproduce as Reproduce
@@ -13,6 +14,7 @@ from .town import Town as Town
 
 __all__ = [
     "Best",
+    "Doctor",
     "Features",
     "Replay",
     "Reproduce",

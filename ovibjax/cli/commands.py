@@ -1,4 +1,4 @@
-"""The commands: `ovibjax reproduce`, `sweep`, `show`, `best`, `replay`, `features` and `town`, and their options."""
+"""The commands, `ovibjax reproduce`, `sweep`, `show`, `best`, `replay`, `features`, `town`, `doctor`: their options."""
 
 import difflib
 import platform
@@ -12,6 +12,7 @@ import tyro
 
 from ovibjax import __version__
 from ovibjax.cli.best import Best
+from ovibjax.cli.doctor import Doctor
 from ovibjax.cli.features import Features
 from ovibjax.cli.replay import Replay
 from ovibjax.cli.reproduce import Reproduce
@@ -52,6 +53,7 @@ Command = (
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Features, tyro.conf.subcommand("features")]
     | Annotated[Town, tyro.conf.subcommand("town")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 
 _OPTIONS: dict[tuple[str, ...], type] = {
@@ -66,6 +68,7 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("replay",): Replay,
     ("features",): Features,
     ("town",): Town,
+    ("doctor",): Doctor,
 }
 
 
