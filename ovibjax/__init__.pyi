@@ -5,6 +5,7 @@ from . import edge as edge
 from . import encoder as encoder
 from . import features as features
 from . import link as link
+from . import live as live
 from . import report as report
 from . import runtime as runtime
 from . import scheduling as scheduling
@@ -32,6 +33,7 @@ __all__ = [
     "encoder",
     "features",
     "link",
+    "live",
     "load_features",
     "make_feature_set",
     "report",

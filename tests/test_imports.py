@@ -20,6 +20,7 @@ ORDER = (
     ("control",),
     ("scheduling",),
     ("system",),
+    ("live",),
     ("cards",),
     ("cli",),
     ("_sweeps",),

@@ -19,7 +19,7 @@ from ovibjax.world.town import feature_set
 PACKAGE = Path(ob.__file__).parent
 
 PUBLIC = {
-    "ovibjax": """FeatureSet InputError cards cli control edge encoder features link load_features make_feature_set
+    "ovibjax": """FeatureSet InputError cards cli control edge encoder features link live load_features make_feature_set
         report reproduce room_features runtime scheduling sweep system town_features views world""",
     "ovibjax.cards": "CardInterrupted Job PRESETS card_names card_paths load_card load_features load_pair",
     "ovibjax.cli": """Best Doctor Features Replay Reproduce Show SweepMerge SweepRun SweepSystem SweepTrain SweepUpgrade
@@ -37,6 +37,8 @@ PUBLIC = {
         open_source""",
     "ovibjax.link": """JETSON PayloadError Request Trace draw_gain fading_power kbytes_per_s make_channel_params pack
         profile_rate_bps rate_bps read_trace request_bytes resample semantic_latency_ms transmit_s unpack""",
+    "ovibjax.live": """Answer FrameReader RobotState WireError frame pack_answer pack_request unpack_answer
+        unpack_request""",
     "ovibjax.report": """Claim Interval Ranking band bars choose interval plot select sheet table variance_shares watch
         write_claims write_csv write_page write_parquet""",
     "ovibjax.runtime": """PRECISIONS cache_folder faster_precision in_order in_threads keep_compiled_programs
