@@ -1,7 +1,6 @@
 """The disk under a store: whose files these are, one whole sweep at a time, and refusals that say what is safe."""
 
 import errno
-import fcntl
 import os
 import socket
 from collections.abc import Callable, Iterator
@@ -10,9 +9,9 @@ from pathlib import Path
 from typing import IO
 
 from ovibjax.errors import InputError, one_line
+from ovibjax.runtime.locks import Held, take_lock
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
 
 def of_this_process() -> str:
@@ -23,7 +22,8 @@ def of_this_process() -> str:
 def is_abandoned(owner: str) -> bool:
     """Whether the end of a temporary name is that of a process of this machine that is no more; no clock is asked."""
     host, _, number = owner.rpartition("-")
-    if host != socket.gethostname() or not number.isdecimal():
+    # On Windows signal 0 is Ctrl-C.
+    if host != socket.gethostname() or not number.isdecimal() or os.name == "nt":
         return False
     try:
         os.kill(int(number), 0)
@@ -34,11 +34,8 @@ def is_abandoned(owner: str) -> bool:
     return False
 
 
-def take_lock(path: Path, file: Path) -> IO[str] | None:
+def lock_of(path: Path, file: Path) -> IO[str] | None:
     """Take the lock of a store, which ends with the process.
-
-    The file is never removed: another process may have opened it meanwhile and would lock a file that a third one no
-    longer finds.
 
     Args:
         path: the store as it was named.
@@ -50,29 +47,13 @@ def take_lock(path: Path, file: Path) -> IO[str] | None:
     Raises:
         InputError: another process has it.
     """
-    handle = file.open("a+")
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        handle.truncate(0)
-        handle.write(f"process {os.getpid()} on host {socket.gethostname()}")
-        handle.flush()
-    except BlockingIOError:
-        handle.seek(0)
-        holder = handle.read() or "another process"
-        handle.close()
+        return take_lock(file)
+    except Held as error:
         raise InputError(
-            f"{path}: {holder} is already working on this sweep; wait for it, split the work (--shard), "
+            f"{path}: {error.strerror} is already working on this sweep; wait for it, split the work (--shard), "
             "or choose another --out"
         ) from None
-    except OSError as error:
-        handle.close()
-        if error.errno in _NO_LOCKS:
-            return None
-        raise
-    except BaseException:
-        handle.close()
-        raise
-    return handle
 
 
 @contextmanager

@@ -16,12 +16,13 @@ import numpy as np
 import xarray
 
 from ovibjax.errors import InputError
+from ovibjax.runtime.locks import WITHOUT_LOCKS
 from ovibjax.runtime.progress import console
 from ovibjax.sweep.asked import announce, asked_grids
 from ovibjax.sweep.blocks import count_members, read_blocks, remove_abandoned
 from ovibjax.sweep.dataset import assemble, union
 from ovibjax.sweep.differences import digest
-from ovibjax.sweep.disk import take_lock, writing
+from ovibjax.sweep.disk import lock_of, writing
 from ovibjax.sweep.grid import Grid
 from ovibjax.sweep.head import OtherSweep, create, read_head, refuse_other
 from ovibjax.sweep.layout import Layout, columns_of
@@ -82,12 +83,11 @@ class Store:
         """
         folder = self.path / "members"
         with writing(self.path, lambda: count_members(folder)):
-            self._lock = take_lock(self.path, self.path / "lock")
+            self._lock = lock_of(self.path, self.path / "lock")
             remove_abandoned(folder)
         if self._lock is None:
             console.print(
-                f"{self.path}: its file system knows no locks; do not start the same command twice at a time "
-                "(nothing would be lost, but all computed twice)",
+                f"{self.path / 'lock'}: {WITHOUT_LOCKS} (nothing would be lost, but all computed twice)",
                 highlight=False,
             )
         self.read()

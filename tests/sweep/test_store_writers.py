@@ -11,9 +11,10 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import portalocker
 import pytest
 
-from ovibjax.sweep import disk, writer
+from ovibjax.sweep import writer
 from ovibjax.sweep.store import attach, open_dataset
 from tests.sweep.stores import (
     WAIT,
@@ -200,7 +201,7 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch, capsys):
     def no_locks(*_):
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(disk.fcntl, "flock", no_locks)
+    monkeypatch.setattr(portalocker.portalocker, "LOCKER", no_locks)
     with opened(tmp_path / "a.zarr") as store:
         store.lock()
         store.add(make_rows([0]))

@@ -4,7 +4,6 @@ A batch counts once its line stands whole in the index; whatever a kill left beh
 synchronised before the line that vouches for them, and a checksum tells a torn one.
 """
 
-import fcntl
 import json
 import os
 import shutil
@@ -12,13 +11,14 @@ import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import IO, Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ovibjax.errors import InputError, refusal
+from ovibjax.errors import InputError, doubt, refusal
 from ovibjax.features.images.source import Skipped
+from ovibjax.runtime.locks import WITHOUT_LOCKS, Held, take_lock
 
 _CONFIG, _INDEX, _BLOCKS, _LOCK = "config.json", "index.jsonl", "blocks.f32", "lock"
 
@@ -42,6 +42,7 @@ class Journal:
         self.failed: list[Skipped] = []
         self._shape: tuple[int, ...] = ()  # of one frame's features
         self._files: list[BinaryIO] = []
+        self._lock: IO[str] | None = None
         try:
             self._open(config)
         except OSError as error:
@@ -91,7 +92,7 @@ class Journal:
         for file in self._files:
             file.close()
         self._files = []
-        if hasattr(self, "_lock"):
+        if self._lock is not None:
             self._lock.close()
 
     def remove(self) -> None:
@@ -106,13 +107,14 @@ class Journal:
         known = {_CONFIG, f".{_CONFIG}.part", _INDEX, _BLOCKS, _LOCK}
         if strange := sorted({entry.name for entry in self.folder.iterdir()} - known):
             raise refusal(self.folder, f"holds {strange[0]}, which is no part of an extraction; choose another --out")
-        self._lock = (self.folder / _LOCK).open("ab")
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            self._lock = take_lock(self.folder / _LOCK)
+        except Held as error:
             raise refusal(
-                self.folder, "another process is working on it; wait for it or choose another --out"
+                self.folder, f"{error.strerror} is working on it; wait for it or choose another --out"
             ) from None
+        if self._lock is None:
+            doubt(self.folder / _LOCK, f"{WITHOUT_LOCKS}, or choose --out on another disk")
         if (self.folder / _CONFIG).exists():
             self._check(config)
         else:
