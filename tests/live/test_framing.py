@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ovibjax.live.framing import FrameReader, WireError, frame
+from tests.live.cases import patient
 
 bodies = st.lists(st.binary(min_size=1, max_size=40), max_size=12)
 
 
+@patient
 @given(bodies, st.lists(st.integers(0, 200), max_size=20))
 def test_pieces_of_any_size_give_the_same_frames(sent, cuts):
     stream = b"".join(map(frame, sent))
@@ -23,6 +25,7 @@ def test_pieces_of_any_size_give_the_same_frames(sent, cuts):
     assert reader.held == b""
 
 
+@patient
 @given(bodies, st.binary(min_size=1, max_size=40))
 def test_a_frame_that_is_not_complete_is_kept(sent, last):
     whole = frame(last)
@@ -38,6 +41,7 @@ def test_a_length_that_cannot_be_is_refused_at_once(length):
         FrameReader(40).feed(struct.pack("<I", length))
 
 
+@patient
 @given(st.lists(st.binary(max_size=300), max_size=8))
 def test_no_bytes_do_anything_else(pieces):
     reader = FrameReader(40)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ovibjax.link.payload import pack
 from ovibjax.live import messages as m
 from ovibjax.live.framing import WireError
-from tests.live.cases import a_packet, answers, requests, states, uint16
+from tests.live.cases import a_packet, answers, patient, requests, states, uint16
 
 nonces = st.binary(min_size=32, max_size=32)
 PARSERS = (m.unpack_greeting, m.unpack_hello, m.unpack_welcome, m.unpack_request, m.unpack_answer)
@@ -32,6 +32,7 @@ def messages():
     ]
 
 
+@patient
 @given(requests, states | st.none())
 def test_requests_come_back(request, state):
     packet = pack(request)
@@ -41,6 +42,7 @@ def test_requests_come_back(request, state):
     assert m.unpack_request(body) == (request, m.RobotState() if state is None else state)
 
 
+@patient
 @given(answers)
 def test_answers_come_back(answer):
     body = m.pack_answer(answer)
@@ -48,12 +50,14 @@ def test_answers_come_back(answer):
     assert m.unpack_answer(body) == answer
 
 
+@patient
 @given(st.booleans(), st.binary(min_size=16, max_size=16), nonces, st.floats(0, 1e6, width=32))
 def test_greetings_come_back(wants_key, fingerprint, nonce, service_ms):
     greeting = m.Greeting(wants_key, fingerprint, nonce, service_ms)
     assert m.unpack_greeting(m.pack_greeting(greeting)) == greeting
 
 
+@patient
 @given(uint16, nonces, nonces)
 def test_hellos_and_welcomes_come_back(client, nonce, proof):
     hello = m.Hello(client, nonce, proof)
@@ -84,6 +88,7 @@ def test_a_message_that_is_cut_or_goes_on_is_refused(at):
         parse(body + b"\0")
 
 
+@patient
 @given(st.binary(max_size=200) | st.sampled_from([body for body, _ in messages()]))
 def test_no_bytes_raise_anything_else(body):
     for parse in PARSERS:
@@ -133,6 +138,7 @@ def test_a_position_that_is_no_number_is_no_answer():
     assert m.unpack_answer(m.pack_answer(m.Answer("expired", 1, 1))).status == "expired"
 
 
+@patient
 @given(uint16, st.integers(1, 32767))
 def test_sequence_numbers_wrap(last, step):
     assert m.follows((last + step) % 65536, last)

@@ -1,0 +1,112 @@
+"""From a received code to a position: decode, retrieve, expect a residual; compiled once, before anybody asks."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ovibjax.edge.retrieval import normalize
+from ovibjax.encoder.model import Architecture, Params, decode
+from ovibjax.live.edge_file import EdgeFile
+from ovibjax.views import mode_mask
+
+
+class Found(NamedTuple):
+    """What retrieval found.
+
+    Attributes:
+        row: int32, the most similar reference.
+        similarity: cosine of its descriptor and the request's.
+    """
+
+    row: jax.Array
+    similarity: jax.Array
+
+
+class EdgeModel:
+    """The edge's half of an edge file, on the device.
+
+    Attributes:
+        file: where it comes from.
+        masks: [A] views of each action.
+        database: [A] unit-norm descriptors [R, M r] of the references at each action.
+    """
+
+    def __init__(self, file: EdgeFile) -> None:
+        self.file = file
+        self._params = jax.tree.map(jnp.asarray, file.params)
+        actions, arch = file.actions, file.arch
+        self._number = {(mode, k): actions.index(mode, k) for mode in actions.modes for k in actions.prefixes}
+        self.masks = [mode_mask(mode, arch.n_views) for mode in actions.modes for _ in actions.prefixes]
+        codes = jnp.asarray(file.reference_code)
+        self.database = [
+            normalize(descriptors(self._params, codes[a // len(actions.prefixes)], k, mask, arch))
+            for a, (k, mask) in enumerate(zip(actions.prefix, self.masks, strict=True))
+        ]
+
+    def action_of(self, mode: str, k: int) -> int | None:
+        """Number of the action with this mode and prefix length; None where the edge does not serve it."""
+        return self._number.get((mode, k))
+
+    def decoded(self, action: int, prefix: np.ndarray) -> jax.Array:
+        """Descriptor [1, M r] of the code that a request carries."""
+        code = np.zeros((1, self.file.arch.latent), np.float32)
+        code[0, : len(prefix)] = prefix
+        mask, k = self.masks[action], np.int32(len(prefix))
+        return jax.block_until_ready(descriptors(self._params, code, k, mask, self.file.arch))
+
+    def retrieved(self, action: int, descriptor: jax.Array) -> tuple[int, float]:
+        """Most similar reference of a descriptor [1, M r], and its similarity."""
+        found = jax.device_get(nearest(descriptor, self.database[action]))
+        return int(found.row[0]), float(found.similarity[0])
+
+    def position_m(self, row: int) -> tuple[float, float, float]:
+        """Where a reference was taken."""
+        x, y, z = self.file.origin_m + self.file.reference_m[row]
+        return float(x), float(y), float(z)
+
+    def residual_m(self, action: int, similarity: float) -> float:
+        """How far off an answer of such a similarity is, by the median of training frames."""
+        at = np.searchsorted(self.file.similarity[action], similarity)
+        return float(self.file.residual_m[action, at])
+
+    def warm_up(self) -> None:
+        """Compile everything that a request needs."""
+        for action, k in enumerate(self.file.actions.prefix):
+            self.retrieved(action, self.decoded(action, np.zeros(k, np.float32)))
+
+
+@partial(jax.jit, static_argnames="arch")
+def descriptors(params: Params, codes: jax.Array, k: jax.Array, view_mask: jax.Array, arch: Architecture) -> jax.Array:
+    """What codes stand for.
+
+    Args:
+        params: parameters of the network.
+        codes: [B, K]; what is beyond the prefix does not matter.
+        k: prefix length.
+        view_mask: [M] views of the mode.
+        arch: widths (static).
+
+    Returns:
+        [B, M r] reconstructed features, zero where a view is absent.
+    """
+    prefix = (jnp.arange(arch.latent) < k).astype(jnp.float32)
+    return decode(params, codes, prefix, arch) * jnp.repeat(view_mask, arch.view_dim)[None]
+
+
+@jax.jit
+def nearest(descriptor: jax.Array, database: jax.Array) -> Found:
+    """Most similar row of a database of unit norm.
+
+    Args:
+        descriptor: [B, M r].
+        database: [R, M r].
+
+    Returns:
+        Fields [B]; equal similarities go to the lower row.
+    """
+    similarity = normalize(descriptor) @ database.T
+    row = jnp.argmax(similarity, axis=1).astype(jnp.int32)
+    return Found(row, jnp.max(similarity, axis=1))
