@@ -100,7 +100,7 @@ class SweepSystem:
         with progress_bar("rendering the routes", 1) as update:
             drives, training = drives_of("full", own, update)
         size = SystemSize(steps=self.steps, clients=self.clients, fleet=self.fleet, kb_per_s=self.kb_per_s)
-        settings: dict[str, Any] = {"policy": self.policy, "data": str(self.data) if self.data else "embedded"}
+        settings: dict[str, Any] = {"policy": self.policy}
         settings |= {"steps": self.steps, "clients": self.clients, "fleet": self.fleet, "kb_per_s": self.kb_per_s}
         settings |= {"k": along["k"], "V": along["V"], "scheduler": list(schedulers)}
         with progress_bar("training and replaying", 1) as update:
@@ -115,6 +115,7 @@ class SweepSystem:
                     self.policy,
                     store=store,
                     settings=settings,
+                    notes={"data": str(self.data)} if self.data else None,
                     shard=shard_of(self.shard),
                     on_progress=counted,
                 ),

@@ -154,7 +154,7 @@ class SweepTrain:
             batch=self.batch,
             precision=self._precision(),
         )
-        settings: dict[str, Any] = {"data": str(self.data) if self.data else "embedded", "rank": self.rank}
+        settings: dict[str, Any] = {"rank": self.rank}
         settings |= {"steps": self.steps, "batch": self.batch, "latent": self.latent, "prior": self.prior}
         settings |= {"precision": static.precision, "prefix": list(prefixes), "mode": list(modes)}
         with progress_bar("training", 1) as update:
@@ -171,6 +171,7 @@ class SweepTrain:
                     units=UNITS,
                     store=store,
                     settings=settings,
+                    notes={"data": str(self.data)} if self.data else None,
                     shard=shard_of(self.shard),
                     executor=executor,
                     on_progress=counted,

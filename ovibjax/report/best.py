@@ -207,7 +207,10 @@ def command(
     what = {"System": "system", "TrainAndJudge": "train"}.get(config["function"].rpartition(".")[2])
     if what is None:
         raise InputError(f"the sweep was made from Python by {config['function']}; no command reruns it")
-    values = {name: value if isinstance(value, list) else [value] for name, value in config["settings"].items()}
+    values = {
+        name: value if isinstance(value, list) else [value]
+        for name, value in {**config["settings"], **config.get("notes", {})}.items()
+    }
     values |= {name: [value] for name, value in point.items()} | dict(over)
     words = ["ovibjax", "sweep", what]
     for name, items in values.items():

@@ -51,6 +51,7 @@ def run(
     units: Mapping[str, str] | None = None,
     store: str | Path | Callable[[dict[str, Any]], Path] | None = None,
     settings: Mapping[str, Any] | None = None,
+    notes: Mapping[str, Any] | None = None,
     lanes: int | None = None,
     shard: tuple[int, int] | None = None,
     executor: Executor | None = None,
@@ -70,6 +71,7 @@ def run(
         store: a folder that holds finished members and to which the missing ones are added, or a function that gives
             it from all that sweeps must have in common to share one; in memory only if None.
         settings: whatever else identifies the sweep, JSON's types; kept in the store and compared.
+        notes: what is kept in a store that is made and not compared, such as the name of a file whose content counts.
         lanes: members vmapped together; chosen if None. Bits depend on it, so that a store keeps its own.
         shard: (i, n), i from 1 to n: compute every n-th member only, so that n processes that share a folder fill one
             store without waiting for each other.
@@ -105,7 +107,7 @@ def run(
         path = store({**identity(work, given), **_of_its_own(work, layout)})
     with one_blas_thread():
         work = _settled(work, None if path is None else config_of(path), mine, lanes)
-        config = identity(work, given)
+        config = identity(work, given) | ({"notes": dict(notes)} if notes else {})
         with InMemory(layout, config) if path is None else Store.open(path, layout, config) as kept:
             complete = _finish(work, kept, mine, shard is None, executor or _in_process, on_progress or _silent)
             dataset = kept.dataset(grid)

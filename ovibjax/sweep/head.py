@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,10 @@ from ovibjax.sweep.layout import Layout, compared, described, from_description
 FORMAT = 2
 """Version of the layout on disk."""
 
+_HASHED = {
+    "program": "a member's program is another one there (its function, a fixed choice or this software has changed)",
+    "data": "its data are others there",
+}
 _HEAD = "sweep.json"
 _TEMPORARY = ".tmp-"
 
@@ -27,7 +32,7 @@ class OtherSweep(InputError):
 
     def __init__(self, message: str, path: Path, config: dict[str, Any]) -> None:
         super().__init__(message)
-        self.beside = path.with_name(f"{path.stem}-{digest(config)[:8]}{path.suffix}")
+        self.beside = path.with_name(f"{path.stem}-{digest(_compared(config))[:8]}{path.suffix}")
 
 
 def create(real: Path, layout: Layout, config: dict[str, Any]) -> None:
@@ -103,6 +108,19 @@ def refuse_other(
     if there[1].get("upgraded") and not here[1].get("upgraded"):
         found = ["its members are of an older version, whose program was another one, and can only be read"]
     else:
-        found = [*differences(there[1], here[1]), *differences(compared(there[0]), compared(here[0]))]
+        found = [*_told(_compared(there[1]), _compared(here[1]))]
+        found += differences(compared(there[0]), compared(here[0]))
     if found:
         raise OtherSweep(f"{path} holds another sweep: {'; '.join(found[:3])}; {advice}", path, here[1])
+
+
+def _compared(config: dict[str, Any]) -> dict[str, Any]:
+    """A configuration without the notes, on which no bit depends."""
+    return {key: value for key, value in config.items() if key != "notes"}
+
+
+def _told(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
+    """What differs, hashes last and in words: they differ as well where a setting does."""
+    plain = [{key: value for key, value in config.items() if key not in _HASHED} for config in (there, here)]
+    yield from differences(plain[0], plain[1])
+    yield from (words for key, words in _HASHED.items() if there.get(key) != here.get(key))

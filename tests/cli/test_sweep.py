@@ -2,6 +2,7 @@
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -51,6 +52,24 @@ def store(features, tmp_path_factory):
     assert done.returncode == 0, done.stderr
     assert "4 members" in done.stderr and f"ovibjax show {out}" in done.stderr.replace("\n", "")
     return out
+
+
+def test_data_by_another_name_go_on_in_the_same_store(features, store, tmp_path, monkeypatch, capsys):
+    """The content is what counts: a relative path, a link, a copy elsewhere."""
+    monkeypatch.chdir(features.parent)
+    (tmp_path / "link.npz").symlink_to(features)
+    shutil.copy(features, tmp_path / "copy.npz")
+    for data in (
+        features.name,
+        f"./{features.name}",
+        f"../{features.parent.name}/{features.name}",
+        tmp_path / "copy.npz",
+    ):
+        done_here(
+            *(monkeypatch, capsys, "sweep", "train", *AXES, "--steps", "20", "--batch", "32"),
+            *("--data", str(data), "--out", str(store)),
+        )
+    assert open_dataset(store).finished.all()
 
 
 def test_every_point_is_trained_and_judged(store):

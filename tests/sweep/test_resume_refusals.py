@@ -1,5 +1,6 @@
 """A sweep is not resumed in the store of another one, and nothing there is changed."""
 
+import re
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from ovibjax.errors import InputError
 from ovibjax.sweep import work
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.grid import Axis
+from ovibjax.sweep.head import OtherSweep
+from ovibjax.sweep.store import config_of
 from ovibjax.sweep.work import Along
 from tests.sweep.members import AXES, DATA, begun_store, small, train, tree_hash
 
@@ -39,13 +42,13 @@ def refusal(path, **changes):
     ("changes", "words"),
     [
         ({"axes": {**AXES, "rate": Axis((0.1, 0.2, 0.3), "m")}}, 'axes.rate.unit is "" there and "m" here'),
-        ({"axes": {**AXES, "more": [1]}}, "program is"),
-        ({"axes": {"rate": AXES["rate"]}}, "program is"),
+        ({"axes": {**AXES, "more": [1]}}, "a member's program is another one there"),
+        ({"axes": {"rate": AXES["rate"]}}, "a member's program is another one there"),
         ({"settings": {"model": "ripple"}}, 'settings.model is "wave" there and "ripple" here'),
         ({"settings": {}}, "settings.model"),
         ({"settings": {"model": "wave", "steps": 3}}, "settings.steps is absent there and 3 here"),
-        ({"shared": {"offset": np.float32(2)}}, "data is"),
-        ({"shared": Along("rate", [DATA] * 3)}, "data is"),
+        ({"shared": {"offset": np.float32(2)}}, "its data are others there"),
+        ({"shared": Along("rate", [DATA] * 3)}, "its data are others there"),
         ({"fn": other_function}, "function is"),
         ({"fn": lambda key, point, shared: small(key, point, shared)}, "function is"),
         ({"fn": lambda key, point, shared: {"other": point["rate"]}}, "function is"),
@@ -56,7 +59,29 @@ def refusal(path, **changes):
     ],
 )
 def test_another_sweep_is_refused_and_nothing_changed(begun, changes, words):
-    assert words in refusal(begun, **changes)
+    said = refusal(begun, **changes)
+    assert words in said and not re.search("[0-9a-f]{16}", said), said  # nobody reads hashes
+
+
+def test_notes_are_kept_and_not_compared(tmp_path):
+    """A file by another name is the same file; its content is compared as data."""
+    path = tmp_path / "runs" / "a.zarr"
+    for number, name in enumerate(("mine.npz", "./mine.npz", "/home/me/mine.npz", None)):
+        notes = None if name is None else {"data": name}
+        found = run(small, {**AXES, "rate": AXES["rate"][: number + 1]}, DATA, store=path, notes=notes)
+        assert found.finished.all() and config_of(path)["notes"] == {"data": "mine.npz"}
+    assert "its data are others" in refusal(
+        path, shared={"offset": np.float32(2)}, settings={}, notes={"data": "mine.npz"}
+    )
+
+
+def test_a_store_beside_does_not_depend_on_notes(begun):
+    beside = []
+    for notes in (None, {"data": "a"}, {"data": "b"}):
+        with pytest.raises(OtherSweep) as caught:
+            run(small, AXES, DATA, store=begun, settings={"model": "ripple"}, notes=notes)
+        beside.append(caught.value.beside)
+    assert len(set(beside)) == 1
 
 
 def test_other_data_along_an_axis_are_refused(tmp_path):
@@ -74,7 +99,9 @@ def test_another_static_setting_is_refused(tmp_path):
     data = {"gain": np.float32(0.1)}
     fn = partial(train, steps=3)
     run(fn, AXES, data, store=path)
-    assert "program is" in refusal(path, fn=partial(train, steps=4), shared=data, settings={})
+    assert "a member's program is another one there" in refusal(
+        path, fn=partial(train, steps=4), shared=data, settings={}
+    )
     run(fn, AXES, data, store=path)
 
 
