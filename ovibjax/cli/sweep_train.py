@@ -154,8 +154,7 @@ class SweepTrain:
             batch=self.batch,
             precision=self._precision(),
         )
-        settings: dict[str, Any] = {"rank": self.rank}
-        settings |= {"steps": self.steps, "batch": self.batch, "latent": self.latent, "prior": self.prior}
+        settings: dict[str, Any] = {name: getattr(self, name) for name in ("rank", "steps", "batch", "latent", "prior")}
         settings |= {"precision": static.precision, "prefix": list(prefixes), "mode": list(modes)}
         with progress_bar("training", 1) as update:
             counted = Counted(update)
