@@ -12,6 +12,7 @@ from typing import Any
 
 import xarray
 
+from ovibjax.cards.dependencies import code_hash
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.sequence import require_drive
 from ovibjax.report.provenance import provenance
@@ -50,6 +51,7 @@ class Job:
         queries: the second feature set of a card that takes references and queries; None for embedded data.
         stages: where its time goes.
         order: what somebody said their frames are, one of `features.sequence.ORDERS`; None as they look.
+        card: the card's file; None if it has none.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Job:
     queries: FeatureSet | None = None
     stages: Stages = field(default_factory=Stages)
     order: str | None = None
+    card: Path | None = None
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Count the time of a `with` block to a stage.
@@ -143,7 +146,9 @@ class Job:
     def record(self, title: str, caption: str, seeds: Iterable[int], started: float, **facts: Any) -> None:
         """Write `provenance.json`: what every card says of itself, and its own facts.
 
-        `stages` are the seconds of each stage, `compile` those of them in which programs were compiled.
+        `precision` is that of products in training, float32 unless the card says otherwise; `stages` are the seconds of
+        each stage, `compile` those of them in which programs were compiled; `code` is the hash of the code that the
+        figure depends on.
 
         Args:
             title: heading on the results page.
@@ -152,10 +157,12 @@ class Job:
             started: `time.perf_counter()` at the start.
             facts: what the card adds, of JSON's types.
         """
-        common: dict[str, Any] = {"title": title, "caption": caption, "preset": self.preset}
+        common: dict[str, Any] = {"title": title, "caption": caption, "preset": self.preset, "precision": "float32"}
         common |= {"seeds": " ".join(map(str, seeds)), "frames": len(self.features.features)}
         common |= {"data": "embedded town" if self.embedded else Path(self.source).name}
         common |= {"stages": _rounded(self.stages.seconds()), "compile": _rounded(self.stages.compiling())}
+        if self.card is not None:
+            common["code"] = code_hash(self.card)
         everything = provenance(**common | facts, seconds=round(time.perf_counter() - started))
         text = json.dumps(everything, indent=1, ensure_ascii=False)
         (self.out / "provenance.json").write_text(text + "\n")

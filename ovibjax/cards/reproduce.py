@@ -51,7 +51,8 @@ def reproduce(
     """
     _check_options(preset, only, seed, rank)
     paths = [sweep] if sweep is not None else card_paths(only or card_names())
-    cards = {path.stem: load_card(path) for path in paths}
+    files = {path.stem: path for path in paths}
+    cards = {name: load_card(path) for name, path in files.items()}
     chosen = bool(only or sweep)
     left_out = _left_out(data, cards, chosen)
     cards = {name: card for name, card in cards.items() if name not in left_out}
@@ -72,7 +73,7 @@ def reproduce(
     job = partial(Job, preset=preset, seed=seed, features=features, source=source, rank=rank, queries=queries)
     # Of all figures, those that somebody's data do not allow are named, and the others made.
     lenient = bool(data) and not chosen
-    if not _run_cards(cards, lambda name: job(name=name, out=out / name, order=order), lenient):
+    if not _run_cards(cards, lambda name: job(name=name, out=out / name, order=order, card=files[name]), lenient):
         raise InputError(f"{source}: allows no figure; the reasons are above")
     return out / "README.md"
 

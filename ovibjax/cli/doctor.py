@@ -9,11 +9,11 @@ from importlib import metadata
 from pathlib import Path
 
 from ovibjax.runtime.cache import cache_folder
+from ovibjax.runtime.hardware import instructions, processor_name
 from ovibjax.runtime.progress import console
 
 _PACKAGES = ("jax", "jaxlib", "flax", "optax", "numpy", "scipy", "xarray", "zarr", "matplotlib")
-_FEATURES = ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "asimd", "bf16", "sve")
-_FOR_DEVELOPERS = ("dev", "test", "bench")
+_FOR_DEVELOPERS = ("dev", "docs", "test", "bench")
 
 
 @dataclass(frozen=True)
@@ -84,15 +84,7 @@ def installed(package: str) -> str | None:
 
 def processor_line() -> str:
     """Model and instructions that matter here, where the system tells them."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    facts = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
-    flags = facts.get("flags", facts.get("Features", "")).split()
-    known = [name for name in _FEATURES if name in flags]
-    model = facts.get("model name", platform.processor() or platform.machine())
-    return f"{os.cpu_count()} x {model}: {' '.join(known) or 'no vector instructions that are known here'}"
+    return f"{processor_name()}: {instructions() or 'no vector instructions that are known here'}"
 
 
 def cache_line(folder: Path) -> str:

@@ -1,14 +1,15 @@
-"""Where a result comes from: version, commit, seeds, preset, machine."""
+"""Where a result comes from: version, commit, packages, machine and what its processor can."""
 
-import os
 import platform
 import subprocess
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import jax
 
 import ovibjax
+from ovibjax.runtime.hardware import accelerator, instructions, processor_name
 
 
 def _commit() -> str:
@@ -26,19 +27,6 @@ def _commit() -> str:
     return commit + ("-dirty" if changed else "")
 
 
-def _machine() -> str:
-    cpu = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [
-            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
-        ]
-        cpu = names[0] if names else cpu
-    device = jax.devices()[0]
-    accelerator = "" if device.platform == "cpu" else f", {device.device_kind}"
-    return f"{os.cpu_count()} x {cpu}{accelerator}"
-
-
 def provenance(**facts: Any) -> dict[str, Any]:
     """Facts about a run, to be written beside its results.
 
@@ -53,6 +41,8 @@ def provenance(**facts: Any) -> dict[str, Any]:
         "commit": _commit(),
         "jax": jax.__version__,
         "python": platform.python_version(),
-        "machine": _machine(),
+        "packages": {name: metadata.version(name) for name in ("jaxlib", "flax", "optax", "numpy", "scipy")},
+        "machine": ", ".join(filter(None, (processor_name(), accelerator()))),
+        "instructions": instructions(),
         **facts,
     }
