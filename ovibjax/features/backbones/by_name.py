@@ -1,4 +1,5 @@
-"""Image backbones Φ by name: `embedded`, `clip`, `clip:FOLDER` or `onnx:FILE` (paper, "Feature Extraction").
+"""Image backbones Φ by name: `embedded`, `clip`, `clip:FOLDER`, `clip:OWNER/NAME` or `onnx:FILE` (the paper's "Feature
+Extraction").
 
 Each is opened by its own module, imported when it is asked for: they stand on libraries that take seconds to load.
 """
@@ -13,7 +14,8 @@ def open_backbone(spec: str, options: BackboneOptions = BackboneOptions()) -> Ba
     """Make an image backbone ready to use.
 
     Args:
-        spec: `embedded`; `clip` (CLIP ViT-B/32 from this machine's model cache) or `clip:FOLDER`; `onnx:FILE`.
+        spec: `embedded`; `clip` (CLIP ViT-B/32 from this machine's model cache), `clip:FOLDER` or `clip:OWNER/NAME`;
+            `onnx:FILE`.
         options: choices of an ONNX backbone.
 
     Returns:

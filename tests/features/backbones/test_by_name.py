@@ -177,6 +177,10 @@ class TestOnnx:
 def test_missing_extras_are_named(tmp_path, monkeypatch):
     (tmp_path / "net.onnx").write_bytes(b"x")
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
+    monkeypatch.setitem(sys.modules, "safetensors", None)
     refused(f"onnx:{tmp_path / 'net.onnx'}", "[onnx]", "pip install")
     refused("clip", "[clip]", "pip install")
+    (tmp_path / "config.json").write_text('{"model_type": "clip"}')
+    (tmp_path / "model.safetensors").write_bytes(b"")
+    refused(f"clip:{tmp_path}", "[clip]", "pip install")
