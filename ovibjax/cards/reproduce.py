@@ -15,6 +15,7 @@ from ovibjax.errors import InputError
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.sequence import sequence_of
 from ovibjax.report.page import write_page
+from ovibjax.runtime.outputs import require_place
 from ovibjax.runtime.progress import console
 from ovibjax.runtime.stage_times import Stages
 
@@ -57,6 +58,7 @@ def reproduce(
     left_out = _left_out(data, cards, chosen)
     cards = {name: card for name, card in cards.items() if name not in left_out}
     # Whatever can be refused is refused before anything is rendered, and a refusal leaves no folder behind.
+    require_place(out)
     if not data:
         _check_writable(out)
     loading = Stages()

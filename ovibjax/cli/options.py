@@ -1,10 +1,11 @@
 """What several commands share: typed numbers, own frames, where a sweep is computed, and how a command stops."""
 
 import re
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from ovibjax.errors import InputError
 from ovibjax.runtime.plain_numbers import plain_float, plain_int
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
 
     from ovibjax.features.frames import FeatureSet
     from ovibjax.sweep.engine import Executor
+
+
+Number = TypeVar("Number", int, float)
 
 
 def numbers(name: str, items: Sequence[str], valid: Callable[[float], bool], rule: str) -> list[float]:
@@ -30,7 +34,7 @@ def numbers(name: str, items: Sequence[str], valid: Callable[[float], bool], rul
         The values, in the order given.
 
     Raises:
-        InputError: not a number, or an impossible one.
+        InputError: not a number, an impossible one, or one that is there already, to float32 accuracy.
     """
     values = []
     for item in items:
@@ -43,7 +47,7 @@ def numbers(name: str, items: Sequence[str], valid: Callable[[float], bool], rul
         values.append(value)
     if not values:
         raise InputError(f"--{name} has no value; values are {rule}")
-    return values
+    return _once(name, values, [struct.pack("f", value) if abs(value) < 3e38 else value for value in values])
 
 
 def integers(name: str, items: Sequence[str], low: int, high: int) -> list[int]:
@@ -59,7 +63,7 @@ def integers(name: str, items: Sequence[str], low: int, high: int) -> list[int]:
         The values, in the order given.
 
     Raises:
-        InputError: not a whole number or range, or an impossible one.
+        InputError: not a whole number or range, an impossible one, or one that is there already.
     """
     values: list[int] = []
     for item in items:
@@ -76,6 +80,16 @@ def integers(name: str, items: Sequence[str], low: int, high: int) -> list[int]:
         values.extend(found)
     if not values:
         raise InputError(f"--{name} has no value")
+    return _once(name, values, values)
+
+
+def _once(name: str, values: list[Number], keys: Sequence[object]) -> list[Number]:
+    """The values, each of which must be there once."""
+    seen = set[object]()
+    for value, key in zip(values, keys, strict=True):
+        if key in seen:
+            raise InputError(f"--{name}: {value} is given twice")
+        seen.add(key)
     return values
 
 
@@ -165,6 +179,22 @@ def shard_of(given: str | None) -> tuple[int, int] | None:
     if found is None or not 1 <= int(found[1]) <= int(found[2]):
         raise InputError(f"--shard {given}: give i/n with i from 1 to n, e.g. 3/16")
     return int(found[1]), int(found[2])
+
+
+def require_store(out: Path) -> None:
+    """Refuse a store that cannot be made or gone on with, before the data are prepared.
+
+    Args:
+        out: a store, or where one is to be.
+
+    Raises:
+        InputError: it holds something else, or nothing can be written there.
+    """
+    from ovibjax.runtime.outputs import require_place
+    from ovibjax.sweep.store import config_of
+
+    require_place(out)
+    config_of(out)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from ovibjax.cli.options import (
     kept_in,
     numbers,
     require_positive,
+    require_store,
     shard_of,
 )
 from ovibjax.cli.processor import settle
@@ -85,6 +86,7 @@ class SweepRun:
         settle(self.out, self.threads, self.devices)
         require_positive(self, "lanes")
         shard_of(self.shard)  # misspelt, it is refused before the data are loaded
+        require_store(self.out)
         executor = executor_of(self.on, self.address)
         try:
             with _importing_beside(self.file):
@@ -99,9 +101,11 @@ class SweepRun:
 
         from ovibjax.sweep.engine import run
         from ovibjax.sweep.from_file import data_of, member_of, read_sweep_file
+        from ovibjax.sweep.grid import make_grid
 
         file = read_sweep_file(self.file)
         axes = asked_axes([entry for entries in self.axis for entry in entries], file)
+        make_grid(axes, file.options["zipped"])  # refused before the data are loaded
         shared = data_of(file, axes)
         with progress_bar("computing", 1) as update:
             counted = Counted(update)

@@ -12,6 +12,7 @@ from ovibjax.cli.options import (
     numbers,
     own_drive,
     require_positive,
+    require_store,
     shard_of,
 )
 from ovibjax.cli.processor import settle
@@ -89,6 +90,7 @@ class SweepSystem:
         if not self.kb_per_s > 0:
             raise InputError(f"--kb-per-s {self.kb_per_s} is not positive")
         shard_of(self.shard)  # misspelt, it is refused before the data are prepared
+        require_store(self.out)
         self._sweep(axes, along, tuple(schedulers))
 
     def _sweep(self, axes: dict[str, list[Any]], along: dict[str, Any], schedulers: tuple[str, ...]) -> None:

@@ -13,6 +13,7 @@ from ovibjax.cli.options import (
     kept_in,
     numbers,
     require_positive,
+    require_store,
     shard_of,
 )
 from ovibjax.cli.processor import settle
@@ -90,6 +91,7 @@ class SweepTrain:
         settle(self.out, self.threads, self.devices)
         axes, prefixes = self._axes(), self._prefixes()
         shard_of(self.shard)  # misspelt, it is refused before the data are prepared
+        require_store(self.out)
         require_positive(self, "steps", "batch", "latent")
         self._train(axes, prefixes, executor_of(self.on, self.address))
 

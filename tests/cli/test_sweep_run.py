@@ -117,7 +117,7 @@ def test_another_sweep_on_the_same_store_is_refused(folder, done, refused):
     for old, new, words in (
         ("STEPS = 3", "STEPS = 4", "program is"),
         ('"model": "mine"', '"model": "other"', 'settings.model is "mine" there and "other" here'),
-        ("np.float32(1)", "np.float32(2)", "data is"),
+        ("np.float32(1)", "np.float32(2)", "its data are others there"),
     ):
         assert old in MINE
         (folder / "mine.py").write_text(MINE.replace(old, new))
