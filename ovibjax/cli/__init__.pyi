@@ -1,6 +1,8 @@
 from .best import Best as Best
 from .commands import check_options as check_options
 from .doctor import Doctor as Doctor
+from .edge_export import EdgeExport as EdgeExport
+from .edge_serve import EdgeServe as EdgeServe
 from .features import Features as Features
 from .replay import Replay as Replay
 from .reproduce import Reproduce as Reproduce
@@ -15,6 +17,8 @@ from .town import Town as Town
 __all__ = [
     "Best",
     "Doctor",
+    "EdgeExport",
+    "EdgeServe",
     "Features",
     "Replay",
     "Reproduce",

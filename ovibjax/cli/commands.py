@@ -1,4 +1,4 @@
-"""The commands, `ovibjax reproduce`, `sweep`, `show`, `best`, `replay`, `features`, `town`, `doctor`: their options."""
+"""The commands, `ovibjax reproduce`, `sweep`, `show`, `best`, `replay`, `edge` and others, and their options."""
 
 import difflib
 import platform
@@ -13,6 +13,9 @@ import tyro
 from ovibjax import __version__
 from ovibjax.cli.best import Best
 from ovibjax.cli.doctor import Doctor
+from ovibjax.cli.edge import Edge
+from ovibjax.cli.edge_export import EdgeExport
+from ovibjax.cli.edge_serve import EdgeServe
 from ovibjax.cli.features import Features
 from ovibjax.cli.replay import Replay
 from ovibjax.cli.reproduce import Reproduce
@@ -53,6 +56,7 @@ Command = (
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Features, tyro.conf.subcommand("features")]
     | Annotated[Town, tyro.conf.subcommand("town")]
+    | Annotated[Edge, tyro.conf.subcommand("edge")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 
@@ -68,6 +72,8 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("replay",): Replay,
     ("features",): Features,
     ("town",): Town,
+    ("edge", "export"): EdgeExport,
+    ("edge", "serve"): EdgeServe,
     ("doctor",): Doctor,
 }
 

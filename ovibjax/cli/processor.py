@@ -34,6 +34,12 @@ def settle(out: Path, threads: int | None, devices: int | None = None) -> None:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={devices}".strip()
 
 
+def one_thread() -> None:
+    """Keep programs to one thread, as many small ones side by side want it; without effect once jax runs."""
+    if "jax" not in sys.modules:
+        os.environ.setdefault("NPROC", "1")
+
+
 def _begun_with(out: Path) -> int | None:
     """Threads of a store's programs, read without what would start jax; whatever is wrong with it is said later."""
     with suppress(OSError, ValueError, KeyError, TypeError):

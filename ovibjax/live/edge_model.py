@@ -68,8 +68,8 @@ class EdgeModel:
         return float(x), float(y), float(z)
 
     def residual_m(self, action: int, similarity: float) -> float:
-        """How far off an answer of such a similarity is, by the median of training frames."""
-        at = np.searchsorted(self.file.similarity[action], similarity)
+        """How far off an answer of such a similarity is, by training frames; most where it is no number."""
+        at = np.searchsorted(self.file.similarity[action], similarity) if np.isfinite(similarity) else 0
         return float(self.file.residual_m[action, at])
 
     def warm_up(self) -> None:

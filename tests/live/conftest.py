@@ -3,6 +3,7 @@
 import pytest
 
 from ovibjax.live.edge_file import load_edge, save_edge
+from ovibjax.live.edge_model import EdgeModel
 from tests.live.cases import tiny_edge
 
 
@@ -18,3 +19,11 @@ def edge_path(tmp_path_factory):
 def edge_file(edge_path):
     """Its content."""
     return load_edge(edge_path)
+
+
+@pytest.fixture(scope="session")
+def edge_model(edge_file):
+    """The edge's half of it, compiled."""
+    model = EdgeModel(edge_file)
+    model.warm_up()
+    return model
