@@ -46,6 +46,9 @@ def test_a_table_becomes_a_feature_file(tmp_path: Path) -> None:
         (("cut.tar", "--out", "x.npz"), "cut.tar: truncated or corrupt"),
         (("town", "--out", "x.npz", "--views", "5", "--strict"), "1 frame incomplete"),
         (("town", "--out", "x.npz", "--imagse", "a"), "did you mean --images?"),
+        (("town", "--out", "x.npz", "--columns", "frame=id"), "--columns, --axes or --order belongs to a table"),
+        (("town", "--out", "x.npz", "--cameras", "Top=a"), "--cameras Top=a: write VIEW=NAME"),
+        (("town", "--out", "x.npz", "--pool", "mean"), "takes no size, layout, mean, std, output or pool"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(
@@ -63,6 +66,27 @@ def test_bad_input_is_one_line_and_exit_code_2(
     said = said_of_bad_input(monkeypatch, capsys, "features", *arguments)
     assert words in said and len(said.strip().splitlines()) == 1, said
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cut.tar", "town"]
+
+
+def test_other_peoples_poses_become_a_feature_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_table(tmp_path, 2)
+    (tmp_path / "images").rename(tmp_path / "pictures")
+    (tmp_path / "pictures/Front").rename(tmp_path / "pictures/cam0")
+    (tmp_path / "tables").mkdir()
+    write(tmp_path / "tables/p.tsv", b"# ours\nid\tx\ty\tz\theading\n0\t1,5\t2\t3\t0,1\n1\t-\t2\t3\t0,1\n")
+    monkeypatch.chdir(tmp_path / "tables")
+    names = ("frame=id", "x_m=x", "y_m=y", "z_m=z", "yaw_rad=heading")
+    arguments = ("--images", "../pictures/{view}/{frame}.png", "--cameras", "Front=cam0", "--columns", *names)
+    done_here(monkeypatch, capsys, "features", "p.tsv", "--out", "a.npz", *arguments)
+    made = load(tmp_path / "tables/a.npz")
+    assert made.positions_m.tolist() == [[1.5, 2, 3]] and made.frame_id.tolist() == ["0"]
+    np.testing.assert_allclose(made.yaw_rad, 0.1)
+    done_here(monkeypatch, capsys, "features", "p.tsv", "--out", "b.npz", *arguments, "--axes", "ned")
+    turned = load(tmp_path / "tables/b.npz")
+    assert turned.positions_m.tolist() == [[2, 1.5, -3]]
+    np.testing.assert_allclose(turned.yaw_rad, np.pi / 2 - 0.1)
 
 
 def test_help_teaches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,20 +2,24 @@
 
 import bz2
 import gzip
+import importlib
 import io
 import lzma
 import struct
+import sys
 import tarfile
 import warnings
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from backports import zstd
 
 from tests.features.images.made_images import encode, pack, pixels, write, write_layout
 from tests.features.images.malformed_frames import FRONT, PICKLE, Builder, features, zipped
+
+zstd: Any = importlib.import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
 
 
 def member(name: str, content: bytes = b"x", **fields) -> bytes:

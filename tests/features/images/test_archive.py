@@ -11,7 +11,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from backports import zstd
 
 from ovibjax.errors import InputError
 from ovibjax.features.images.by_path import open_source
@@ -24,7 +23,7 @@ from tests.features.images.made_images import (
     write,
     write_layout,
 )
-from tests.features.images.malformed_archives import member, zip_of
+from tests.features.images.malformed_archives import member, zip_of, zstd
 
 
 @pytest.mark.parametrize("form", [tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
