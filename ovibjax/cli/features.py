@@ -49,7 +49,7 @@ class Features:
     out: Path
     """The .npz file to write."""
     backbone: str = "embedded"
-    """Image encoder."""
+    """Image encoder: embedded, clip (ViT-B/32 from the model cache), clip:FOLDER, clip:OWNER/NAME or onnx:FILE."""
     images: str | None = None
     """For poses: where images lie, relative to their file: {view} or {view:lower}, {frame} or {frame:06d}, {scene}, and
     {file}, what the table's column of the view says, are filled in."""
