@@ -69,6 +69,8 @@ class Features:
     """5 (UAV) or 4 (UGV: without Down); by default 5 where there are images of Down."""
     strict: bool = False
     """Refuse frames that lack a view or a pose or do not decode, instead of leaving them out."""
+    bits: int | None = None
+    """Bits that images of 16 bits per channel really have, such as 12; by default what the file says, or 16."""
     batch: int = 16
     """Frames per call of the encoder; memory grows with it, and another value is another extraction."""
     # The default is frozen, so that instances may share it.
@@ -96,7 +98,7 @@ class Features:
                 backbone = open_backbone(self.backbone, self.onnx)
             description = f"{len(source.frames)} frames through {backbone.name}"
             with progress_bar(description, len(source.frames), transient=True) as update:
-                done = extract(source, backbone, self.out, self.batch, self.strict, update)
+                done = extract(source, backbone, self.out, self.batch, self.strict, update, self.bits)
         finally:
             source.close()
         skipped = (*source.skipped, *done.failed)

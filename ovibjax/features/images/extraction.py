@@ -17,7 +17,7 @@ from ovibjax.features import backbones
 from ovibjax.features.backbones.by_name import Backbone
 from ovibjax.features.feature_files import save
 from ovibjax.features.frames import FeatureSet, OnFrames, make_feature_set
-from ovibjax.features.images.decoding import decode_image
+from ovibjax.features.images.decoding import BITS, decode_image
 from ovibjax.features.images.journal import Journal
 from ovibjax.features.images.source import MAX_IMAGE_BYTES, Frame, Skipped, Source, describe_skipped, nothing_left
 from ovibjax.runtime.cache import source_code
@@ -76,6 +76,7 @@ def extract(
     batch: int = BATCH_FRAMES,
     strict: bool = False,
     on_frames: OnFrames | None = None,
+    bits: int | None = None,
 ) -> Extraction:
     """Write the features of a source to an `.npz` file (paper, Section "Task-Oriented Feature Extraction").
 
@@ -89,6 +90,7 @@ def extract(
         batch: frames per call of the backbone.
         strict: refuse a frame that is incomplete or does not decode, instead of leaving it out.
         on_frames: called with (frames done, frames in all).
+        bits: see `decode_image`.
 
     Returns:
         What was written and what was left out.
@@ -101,14 +103,17 @@ def extract(
     check_out(out)
     if batch < 1:
         raise InputError(f"--batch {batch} is not positive")
+    if bits is not None and bits not in BITS:
+        raise InputError(f"--bits {bits}: a channel of 16 bits has {BITS[0]} to {BITS[-1]} of its own")
     if strict and source.skipped:
         raise refusal(source.name, f"{_count(source.skipped)} incomplete: {describe_skipped(source.skipped)}")
+    config = _config(source, backbone, batch) | ({} if bits is None else {"--bits": bits})
     # Pillow warns of images that are refused anyway.
-    with warnings.catch_warnings(), Journal(partial_folder(out), _config(source, backbone, batch)) as journal:
+    with warnings.catch_warnings(), Journal(partial_folder(out), config) as journal:
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         resumed = min(journal.batches * batch, len(source.frames))
         try:
-            _run(source, backbone, batch, strict, journal, on_frames)
+            _run(source, backbone, batch, strict, journal, on_frames, bits)
         except KeyboardInterrupt:
             done = min(journal.batches * batch, len(source.frames))
             kept = f"{done} of {len(source.frames)} frames are kept in {journal.folder}: repeat the command to go on"
@@ -133,12 +138,13 @@ def _run(
     strict: bool,
     journal: Journal,
     on_frames: OnFrames | None,
+    bits: int | None,
 ) -> None:
     """Finish the batches that the journal lacks."""
     n = len(source.frames)
 
     def load(frame: Frame) -> list[NDArray[np.float32]] | Skipped:
-        return _load(source, backbone, frame)
+        return _load(source, backbone, frame, bits)
 
     _refuse_failed(source, strict, journal.failed)
     decoded = in_order(load, source.frames[journal.batches * batch :], _BATCHES_AHEAD * batch)
@@ -159,14 +165,14 @@ def _refuse_failed(source: Source, strict: bool, failed: list[Skipped]) -> None:
         raise refusal(source.name, f"{_count(failed)} refused: {describe_skipped(failed)}")
 
 
-def _load(source: Source, backbone: Backbone, frame: Frame) -> list[NDArray[np.float32]] | Skipped:
+def _load(source: Source, backbone: Backbone, frame: Frame, bits: int | None) -> list[NDArray[np.float32]] | Skipped:
     """The backbone's inputs of one frame, or why there are none."""
     inputs = []
     for image, size in zip(frame.images, frame.sizes_bytes, strict=True):
         try:
             if size > MAX_IMAGE_BYTES:
                 raise ValueError(f"{size} bytes, over {MAX_IMAGE_BYTES}")
-            inputs.append(backbone.preprocess(decode_image(source.read(image))))
+            inputs.append(backbone.preprocess(decode_image(source.read(image), bits)))
         except ValueError as error:  # InputError among them
             return Skipped(frame.frame_id, "an image does not decode", f"{image}: {error}")
     return inputs
