@@ -15,13 +15,15 @@ import jax
 import scipy.linalg  # noqa: F401  jax calls its LAPACK on a CPU; what is not loaded cannot be limited
 from threadpoolctl import threadpool_limits
 
+from ovibjax.runtime.limits import cores
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 def workers() -> int:
-    """Programs worth running at a time: one per core on a CPU, one on an accelerator."""
-    return min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
+    """Programs worth running at a time: one per core that this process may use on a CPU, one on an accelerator."""
+    return min(cores(), 8) if jax.default_backend() == "cpu" else 1
 
 
 @cache
@@ -43,17 +45,20 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
-def in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+def in_threads(
+    function: Callable[[Item], Result], items: Iterable[Item], at_most: int | None = None
+) -> Iterator[Result]:
     """Results of a function over items, in the order in which they are finished.
 
     Args:
         function: called once per item, in threads.
         items: started in this order.
+        at_most: of them at a time; see `workers`.
 
     Yields:
         Results. Leaving the loop (Ctrl-C, an error) drops the items that have not started.
     """
-    pool = ThreadPoolExecutor(max_workers=workers())
+    pool = ThreadPoolExecutor(max_workers=max(1, min(workers(), at_most or workers())))
     pending: set[Future[Result]] = {pool.submit(function, item) for item in items}
     try:
         while pending:
@@ -76,7 +81,7 @@ def in_order(function: Callable[[Item], Result], items: Iterable[Item], ahead: i
     Yields:
         Results. Leaving the loop waits for what is being computed, and drops the rest.
     """
-    pool = ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 8))
+    pool = ThreadPoolExecutor(max_workers=min(cores(), 8))
     pending: deque[Future[Result]] = deque()
     try:
         for item in items:

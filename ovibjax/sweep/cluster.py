@@ -22,6 +22,7 @@ import jax
 import numpy as np
 
 from ovibjax.errors import InputError, one_line
+from ovibjax.runtime.limits import cores
 from ovibjax.sweep.differences import digest
 from ovibjax.sweep.engine import Executor
 from ovibjax.sweep.grid import Grid
@@ -187,7 +188,7 @@ def _connected(ray: Any, address: str | None, workers: int | None) -> Iterator[N
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if address is None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        options |= {"address": "local", "include_dashboard": False, "num_cpus": workers or os.cpu_count()}
+        options |= {"address": "local", "include_dashboard": False, "num_cpus": workers or cores()}
         if jax.default_backend() == "gpu":
             options |= {"num_gpus": jax.local_device_count()}
     else:

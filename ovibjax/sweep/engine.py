@@ -4,6 +4,7 @@
 numbers: members of equal seed see the same draws), `point` holds its value on every axis, `shared` the data.
 """
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import xarray
 
 from ovibjax.errors import InputError
+from ovibjax.runtime.limits import free_bytes
 from ovibjax.runtime.threads import in_threads, one_blas_thread, pool_threads
 from ovibjax.sweep.grid import Axis, Grid, make_grid
 from ovibjax.sweep.in_memory import InMemory
@@ -100,7 +102,7 @@ def run(
     devices = jax.local_device_count()
     # Workers elsewhere have one thread per device: those of one program gain little, and there is a worker per core.
     threads = pool_threads() if executor is None else devices
-    work = Work(fn, grid, outer, _batch(grid, outer, shared, alive, lanes), devices, threads, shared)
+    work = Work(fn, grid, outer, _batch(grid, outer, shared, alive, lanes), devices, threads, shared, alive)
     given = dict(settings or {})
     path = None if callable(store) else store
     if callable(store):
@@ -250,4 +252,10 @@ def _in_process(work: Work, lots: Sequence[np.ndarray], _: Path | None) -> Itera
         rows = work.compute(lot)
         return len(rows), rows
 
-    return map(one, lots) if work.devices > 1 else in_threads(one, lots)
+    return map(one, lots) if work.devices > 1 else in_threads(one, lots, _fitting(work))
+
+
+def _fitting(work: Work) -> int | None:
+    """Batches whose memory fits beside each other into what this process may still take; None where nobody knows."""
+    each, free = work.alive_bytes * work.batch.lanes, free_bytes()
+    return None if free is None or not 0 < each < sys.maxsize else max(1, free // each)

@@ -43,6 +43,7 @@ class Work:
         devices: devices that share a batch.
         threads: see `pool_threads`; of the process that computes.
         shared: data, or `Along`.
+        alive_bytes: what a member keeps alive while it runs, see `trace_member`; 0 where nobody knows.
     """
 
     fn: MemberFn
@@ -52,6 +53,7 @@ class Work:
     devices: int
     threads: int
     shared: Any
+    alive_bytes: int = 0
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what is cached: a program stays in its process.
