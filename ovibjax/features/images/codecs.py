@@ -48,8 +48,8 @@ LADDERS: dict[str, tuple[int, ...]] = {
 _HEAD = struct.Struct("<2sBBHH8x")
 _CRC = struct.Struct("<I")
 _MAX_VIEWS, _MAX_SIDE_PX = 16, 0xFFFF
-# One thread: the result does not depend on the machine. Nor does it without x264's assembly, whose look-ahead gives other
-# bytes on other processors, and even with what the memory held before. x265 would also write its settings into the stream.
+# One thread and, for x264, no assembly: its look-ahead gives other bytes on other processors, and even with what the
+# memory held before. The result does not depend on the machine. x265 would also write its settings into the stream.
 _ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
     "h264": ("libx264", {"preset": "medium", "x264-params": "threads=1:sliced-threads=0:lookahead-threads=1:asm=0"}),
     "h265": ("libx265", {"preset": "medium", "x265-params": "pools=none:frame-threads=1:wpp=0:info=0:log-level=none"}),
