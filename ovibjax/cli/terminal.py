@@ -73,8 +73,8 @@ class _Notes:
         elif _CACHE in str(message):
             if not self._cache_told:
                 self._cache_told = True
-                folder = os.environ.get("JAX_COMPILATION_CACHE_DIR", "")
-                reason = " ".join(str(message).split())[-160:]
-                print(f"ovibjax: note: {folder}: compiled programs cannot be kept ({reason})", file=sys.stderr)
+                folder, text = os.environ.get("JAX_COMPILATION_CACHE_DIR", ""), " ".join(str(message).split())
+                said = f"{folder}: compiled programs are not kept ({(text.partition(chr(39) + ': ')[2] or text)[:160]})"
+                print(f"ovibjax: note: {said}; set OVIBJAX_CACHE to a folder that can be written", file=sys.stderr)
         else:
             self._others(message, category, *place, **more)

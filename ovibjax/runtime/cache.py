@@ -1,5 +1,6 @@
 """Where derived data and compiled programs are kept between runs."""
 
+import errno
 import hashlib
 import os
 import platform
@@ -18,7 +19,7 @@ def cache_folder() -> Path:
 
 
 def made_folder(folder: Path) -> Path:
-    """The folder, made if it is missing.
+    """The folder, made if it is missing; looked at before the work whose results are to go there.
 
     Args:
         folder: inside the cache folder.
@@ -27,10 +28,12 @@ def made_folder(folder: Path) -> Path:
         The same path.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: it cannot be made or written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
         raise InputError(
             f"{folder}: the cache folder cannot be made ({error.strerror}); set OVIBJAX_CACHE to a folder that can"

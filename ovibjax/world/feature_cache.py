@@ -38,8 +38,13 @@ def kept(*paths: Path) -> list[FeatureSet] | None:
 
     Returns:
         The sets in the order of the paths.
+
+    Raises:
+        InputError: a set is missing, and the cache folder cannot be made.
     """
     if not all(path.exists() for path in paths):
+        for path in paths:
+            made_folder(path.parent)  # refused before anything is rendered
         return None
     try:
         return [load(path) for path in paths]

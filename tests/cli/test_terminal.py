@@ -121,7 +121,7 @@ def test_doubts_are_lines_and_other_warnings_python_s(capsys):
             )
     said = capsys.readouterr().err.splitlines()
     assert said[:2] == ["ovibjax: note: poses.csv: yaw_deg may be radians"] * 2
-    assert len(said) == 3 and "compiled programs cannot be kept" in said[2] and "no space left" in said[2]
+    assert len(said) == 3 and "compiled programs are not kept (no space left); set OVIBJAX_CACHE" in said[2]
     with civil(), pytest.raises(UserWarning, match="another"):
         warnings.warn("another", stacklevel=1)
 

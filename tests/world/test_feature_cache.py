@@ -64,3 +64,17 @@ def test_a_cache_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="OVIBJAX_CACHE"):
         keep({tmp_path / "file" / "a.npz": make_feature_set(np.ones((2, 4, 3)), np.zeros((2, 3)))})
+    with pytest.raises(InputError, match="OVIBJAX_CACHE"):
+        kept(tmp_path / "file" / "a.npz")  # before anything is made to be kept
+
+
+def test_a_cache_that_cannot_be_written_is_named_before_a_town_is_rendered(tmp_path, monkeypatch):
+    from ovibjax.world.town import feature_set as town
+
+    monkeypatch.setenv("OVIBJAX_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(town, "render_features", lambda *_: pytest.fail("the town was rendered"))
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(
+        InputError, match=r"cache: the cache folder cannot be made \(Permission denied\); set OVIBJAX_CACHE"
+    ):
+        town.town_features(n_frames=4)

@@ -11,7 +11,7 @@ import numpy as np
 from ovibjax.features.backbones.pyramid import EMBEDDED_HEIGHT_PX, EMBEDDED_WIDTH_PX, embed, embedded_backbone
 from ovibjax.features.frames import FeatureSet, make_feature_set
 from ovibjax.runtime.batches import first_then_threads, padded_batches
-from ovibjax.runtime.cache import cache_folder
+from ovibjax.runtime.cache import cache_folder, made_folder
 from ovibjax.world.feature_cache import content_key, keep, kept
 from ovibjax.world.rooms.drive import Drive, query_drive, reference_drive
 from ovibjax.world.rooms.interior import render_interior
@@ -41,6 +41,8 @@ def rooms_features(
         InputError: the cache folder cannot be written.
     """
     missing = [config for config in configs if not all(path.exists() for path in _paths(config))]
+    for config in missing:
+        made_folder(_paths(config)[0].parent)  # refused before anything is rendered
     for done, _ in enumerate(first_then_threads(_make, missing), start=1):
         if on_rooms is not None:
             on_rooms(done, len(missing))
