@@ -60,7 +60,8 @@ class Show:
     parquet: Path | None = None
     """Write the same rows as a Parquet file (extra [parquet])."""
     plot: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="AXIS [AXIS]")] = None
-    """Plot the metric along this axis; over two axes, a heat map with the values in its cells."""
+    """Plot the metric along this axis; over two axes, a heat map with the values in its cells, or points where the
+    two were drawn together (--sobol)."""
     hue: str | None = None
     """One line of the plot per value of this axis."""
     out: Path | None = None

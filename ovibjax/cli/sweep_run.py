@@ -3,7 +3,7 @@
 import difflib
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,8 +23,10 @@ from ovibjax.cli.options import (
     shard_of,
 )
 from ovibjax.cli.processor import settle
+from ovibjax.cli.search import SearchOptions, range_or_none, searched
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
+from ovibjax.sweep.sampling import Range, parse
 
 if TYPE_CHECKING:
     from ovibjax.sweep.engine import Executor
@@ -63,7 +65,10 @@ class SweepRun:
     out: Path
     """The store, a folder ending in .zarr; members that it has are not computed again."""
     axis: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = ()
-    """Values in place of the file's, NAME=VALUE,VALUE; whole numbers also as ranges: seed=0:5 is 0 1 2 3 4."""
+    """Values in place of the file's, NAME=VALUE,VALUE; seed=0:5 is 0 1 2 3 4; a range as rate=log:0.1:3 for --sobol."""
+    # The default is frozen, so that instances may share it.
+    search: tyro.conf.OmitArgPrefixes[SearchOptions] = SearchOptions()  # noqa: RUF009
+    """How points are drawn where an axis is a range."""
     on: Literal["local", "ray"] = "local"
     """Where members are computed: this machine, or a Ray cluster (extra [cluster])."""
     address: str | None = None
@@ -104,8 +109,10 @@ class SweepRun:
         from ovibjax.sweep.grid import make_grid
 
         file = read_sweep_file(self.file)
-        axes = asked_axes([entry for entries in self.axis for entry in entries], file)
-        make_grid(axes, file.options["zipped"])  # refused before the data are loaded
+        axes, zipped = drawn_axes(
+            asked_axes([entry for entries in self.axis for entry in entries], file), file, self.search
+        )
+        make_grid(axes, zipped)  # refused before the data are loaded
         shared = data_of(file, axes)
         with progress_bar("computing", 1) as update:
             counted = Counted(update)
@@ -117,7 +124,7 @@ class SweepRun:
                         member_of(file),
                         axes,
                         shared,
-                        **file.options,
+                        **{**file.options, "zipped": zipped},
                         store=store,
                         lanes=self.lanes,
                         shard=shard_of(self.shard),
@@ -151,8 +158,39 @@ def _importing_beside(file: Path) -> Iterator[None]:
         sys.path.remove(folder)
 
 
-def asked_axes(entries: Sequence[str], file: "SweepFile") -> dict[str, "Axis"]:
-    """The axes of a file with the values that were typed.
+def drawn_axes(
+    axes: Mapping[str, "Axis | Range"], file: "SweepFile", search: SearchOptions
+) -> tuple[dict[str, "Axis"], list[tuple[str, ...]]]:
+    """Axes with points in place of ranges, and the groups of them that advance together.
+
+    Args:
+        axes: as `asked_axes` gives them.
+        file: what the file says.
+        search: how points are drawn.
+
+    Returns:
+        All axes, and the groups of the file and of the search.
+
+    Raises:
+        InputError: a range without a number of points, the reverse, or a range that the file zips with values.
+    """
+    values, groups = searched(axes, search, "--axis {}=".format)
+    drawn = {name for group in groups for name in group}
+    for group in file.options["zipped"]:
+        apart = [name for name in group if name not in drawn]
+        if not apart:
+            continue  # the search zips them
+        if len(apart) < len(group):
+            given = next(name for name in group if name in drawn)
+            raise InputError(f"--axis {given}: {file.path} zips it with {apart[0]}; give a range for both, or for none")
+        groups.append(group)
+    return {
+        name: replace(file.axes[name], values=values[name]) if name in drawn else values[name] for name in axes
+    }, groups
+
+
+def asked_axes(entries: Sequence[str], file: "SweepFile") -> dict[str, "Axis | Range"]:
+    """The axes of a file with the values, or ranges, that were typed.
 
     Args:
         entries: `NAME=VALUE,VALUE` each.
@@ -164,7 +202,8 @@ def asked_axes(entries: Sequence[str], file: "SweepFile") -> dict[str, "Axis"]:
     Raises:
         InputError: an entry of another form, an axis that the file does not have, or an impossible value.
     """
-    axes, given = dict(file.axes), set[str]()
+    axes: dict[str, Axis | Range] = dict(file.axes)
+    given = set[str]()
     for entry in entries:
         name, equals, typed = entry.partition("=")
         if not equals or not typed:
@@ -176,13 +215,31 @@ def asked_axes(entries: Sequence[str], file: "SweepFile") -> dict[str, "Axis"]:
         if name in given:
             raise InputError(f"--axis {entry}: values of {name} are given twice; write all after one {name}=")
         given.add(name)
-        known, numbers = list(axes[name].values), axes[name].numbers
+        axis = file.axes[name]
+        known, numbers = list(axis.values), axis.numbers
+        if (drawn := _range(name, typed, known)) is not None:
+            axes[name] = drawn
+            continue
         values = _values(name, typed, known)
         if isinstance(known[0], str) and values != known:  # whichever are asked for, a name keeps its number
             places = [known.index(value) for value in values]
             numbers = places if numbers is None else [numbers[place] for place in places]
-        axes[name] = replace(axes[name], values=tuple(values), numbers=numbers)
+        axes[name] = replace(axis, values=tuple(values), numbers=numbers)
     return axes
+
+
+def _range(name: str, typed: str, known: list[Any]) -> Range | None:
+    """The range that was typed for an axis of numbers; None where values were."""
+    import numpy as np
+
+    kind = np.asarray(known).dtype.kind
+    if kind in "Ub":
+        if typed not in known and parse(typed) is not None:
+            raise InputError(
+                f"--axis {name}={typed}: its values are no numbers; list them: {', '.join(map(str, known))}"
+            )
+        return None
+    return range_or_none(f"--axis {name}=", typed.split(","), lambda _: True, "numbers", whole=kind != "f")
 
 
 def _values(name: str, typed: str, known: list[Any]) -> list[Any]:

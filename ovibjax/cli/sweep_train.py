@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import tyro
+
 from ovibjax.cli.options import (
     Counted,
     executor_of,
@@ -17,10 +19,12 @@ from ovibjax.cli.options import (
     shard_of,
 )
 from ovibjax.cli.processor import settle
+from ovibjax.cli.search import SearchOptions, range_or_none, searched
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
 if TYPE_CHECKING:
+    from ovibjax.encoder.train import TrainConfig
     from ovibjax.sweep.engine import Executor
 
 
@@ -32,6 +36,8 @@ class SweepTrain:
     split, initial weights, minibatches and noise, so that differences between them are paired. Finished members are
     written to OUT as they come: after Ctrl-C, a crash or a kill, the same command goes on where it stopped. A command
     with more values, or others, adds the members that are missing.
+
+    Any axis but seed may be a range, from which --sobol or --random draw points: --beta log:1e-5:1e-1 --sobol 64.
 
     Example: ovibjax sweep train --beta 1e-4 1e-3 --gamma 0 0.01 0.1 1 --seed 0:5 --prefix 8 16 35 --out runs/mine.zarr
     """
@@ -52,6 +58,9 @@ class SweepTrain:
     """Shares of training examples that see a random prefix; 1 is the paper's nested training, 0 is none."""
     seed: tuple[str, ...] = ("0:3",)
     """Seeds, as numbers or ranges: 0:5 is 0 1 2 3 4."""
+    # The default is frozen, so that instances may share it.
+    search: tyro.conf.OmitArgPrefixes[SearchOptions] = SearchOptions()  # noqa: RUF009
+    """How points are drawn where an axis is a range."""
     prefix: tuple[str, ...] = ("8", "16", "35", "128")
     """Prefix lengths to judge at (costs no training)."""
     mode: tuple[str, ...] = ("all",)
@@ -89,21 +98,23 @@ class SweepTrain:
     def run(self) -> None:
         """Run the command."""
         settle(self.out, self.threads, self.devices)
-        axes, prefixes = self._axes(), self._prefixes()
+        (axes, zipped), prefixes = searched(self._axes(), self.search), self._prefixes()
         shard_of(self.shard)  # misspelt, it is refused before the data are prepared
         require_store(self.out)
         require_positive(self, "steps", "batch", "latent")
-        self._train(axes, prefixes, executor_of(self.on, self.address))
+        self._train(axes, zipped, prefixes, executor_of(self.on, self.address))
 
-    def _axes(self) -> dict[str, list[Any]]:
-        def at_least(low: float) -> Callable[[float], bool]:
-            return lambda value: value >= low
-
-        axes: dict[str, list[Any]] = {}
-        for name in ("alpha", "beta", "gamma", "weight_decay"):
-            axes[name] = numbers(name, getattr(self, name), at_least(0.0), "zero or more")
-        axes["lr"] = numbers("lr", self.lr, lambda value: value > 0, "positive")
-        axes["nesting"] = numbers("nesting", self.nesting, lambda value: 0 <= value <= 1, "between 0 and 1")
+    def _axes(self) -> dict[str, Any]:
+        """Values of every axis, or the range to draw them from."""
+        rules: dict[str, tuple[Callable[[float], bool], str]] = dict.fromkeys(
+            ("alpha", "beta", "gamma", "weight_decay"), (lambda value: value >= 0, "zero or more")
+        )
+        rules["lr"] = (lambda value: value > 0, "positive")
+        rules["nesting"] = (lambda value: 0 <= value <= 1, "between 0 and 1")
+        axes: dict[str, Any] = {}
+        for name, rule in rules.items():
+            option, items = name.replace("_", "-"), getattr(self, name)
+            axes[name] = range_or_none(f"--{option} ", items, *rule) or numbers(option, items, *rule)
         axes["seed"] = integers("seed", self.seed, 0, 2**31 - 1)
         return axes
 
@@ -121,41 +132,53 @@ class SweepTrain:
         begun_with = (config_of(self.out) or {}).get("settings", {}).get("precision")
         return begun_with if begun_with in PRECISIONS else faster_precision()
 
-    def _train(self, axes: dict[str, list[Any]], prefixes: tuple[int, ...], executor: "Executor | None") -> None:
-        from ovibjax.cards.loading import load_features
-        from ovibjax.edge.member import DIMS, UNITS, TrainAndJudge
-        from ovibjax.encoder.model import Architecture
-        from ovibjax.encoder.recipe import training_prefixes
-        from ovibjax.encoder.train import TrainConfig
-        from ovibjax.encoder.training_data import member_data
-        from ovibjax.sweep.engine import run
-        from ovibjax.sweep.work import Along
+    def _modes(self, n_views: int) -> tuple[str, ...]:
+        """View modes to judge in."""
         from ovibjax.views import full_mode, modes_for
 
-        features = load_features(self.data)
-        n_views = features.features.shape[1]
         modes = (full_mode(n_views),) if self.mode == ("all",) else self.mode
         for mode in modes:
             if mode not in modes_for(n_views):
                 raise InputError(f"--mode {mode}: the data have {n_views} views, modes {', '.join(modes_for(n_views))}")
-        members = []
-        with progress_bar("splitting and projecting", len(axes["seed"])) as update:
-            for i, seed in enumerate(axes["seed"], start=1):
-                members.append(member_data(features, seed, self.rank or None)[0])
-                update(i)
-        static = TrainConfig(
-            arch=Architecture(
-                n_views=n_views,
-                view_dim=members[0].train.x.shape[2],
-                latent=self.latent,
-                rank=max(Architecture.rank, self.latent),
-            ),
+        return modes
+
+    def _static(self, n_views: int, view_dim: int) -> "TrainConfig":
+        """Static choices of the training."""
+        from ovibjax.encoder.model import Architecture
+        from ovibjax.encoder.recipe import training_prefixes
+        from ovibjax.encoder.train import TrainConfig
+
+        rank = max(Architecture.rank, self.latent)
+        return TrainConfig(
+            arch=Architecture(n_views=n_views, view_dim=view_dim, latent=self.latent, rank=rank),
             prefixes=training_prefixes(self.latent),
             prior=self.prior,
             steps=self.steps,
             batch=self.batch,
             precision=self._precision(),
         )
+
+    def _train(
+        self,
+        axes: dict[str, list[Any]],
+        zipped: list[tuple[str, ...]],
+        prefixes: tuple[int, ...],
+        executor: "Executor | None",
+    ) -> None:
+        from ovibjax.cards.loading import load_features
+        from ovibjax.edge.member import DIMS, UNITS, TrainAndJudge
+        from ovibjax.encoder.training_data import member_data
+        from ovibjax.sweep.engine import run
+        from ovibjax.sweep.work import Along
+
+        features = load_features(self.data)
+        modes = self._modes(features.features.shape[1])
+        members = []
+        with progress_bar("splitting and projecting", len(axes["seed"])) as update:
+            for i, seed in enumerate(axes["seed"], start=1):
+                members.append(member_data(features, seed, self.rank or None)[0])
+                update(i)
+        static = self._static(*members[0].train.x.shape[1:])
         settings: dict[str, Any] = {name: getattr(self, name) for name in ("rank", "steps", "batch", "latent", "prior")}
         settings |= {"precision": static.precision, "prefix": list(prefixes), "mode": list(modes)}
         with progress_bar("training", 1) as update:
@@ -167,6 +190,7 @@ class SweepTrain:
                     TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),
                     axes,
                     Along("seed", members),
+                    zipped=zipped,
                     dims=DIMS,
                     coords={"prefix": list(prefixes), "mode": list(modes)},
                     units=UNITS,

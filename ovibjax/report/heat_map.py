@@ -20,11 +20,11 @@ from ovibjax.report.labels import text_of, with_unit
 from ovibjax.report.means import Over, average, counted, laid_out, over_text
 from ovibjax.report.panels import heat
 from ovibjax.report.plot_choice import Chosen, choose_drawn
+from ovibjax.report.scales import LOG_SPAN
 
-_COLOURS = "cividis"
+COLOURS = "cividis"
 """Runs from dark blue to yellow for every eye, and in grey."""
 
-_LOG_SPAN = 30.0
 _LARGEST_PT, _SMALLEST_PT = 6.5, 5.0
 _BESIDE_IN = 1.15
 """Width beside the panel: labels of the ordinate and the colour bar."""
@@ -124,8 +124,8 @@ def _texts(mean: np.ndarray, half: np.ndarray, count: np.ndarray, total: int, sp
 def _cells_of(ax: Axes, mean: np.ndarray, look: _Look) -> None:
     """Colours and texts; holes hatched."""
     known = mean[np.isfinite(mean)]
-    log = bool(known.min() > 0 and known.max() >= _LOG_SPAN * known.min())
-    heat(ax, mean, look.texts, _COLOURS, (LogNorm if log else Normalize)(known.min(), known.max()), look.size_pt)
+    log = bool(known.min() > 0 and known.max() >= LOG_SPAN * known.min())
+    heat(ax, mean, look.texts, COLOURS, (LogNorm if log else Normalize)(known.min(), known.max()), look.size_pt)
     for row, column in np.argwhere(~np.isfinite(mean)).tolist():
         ax.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, hatch="////", edgecolor="0.8", lw=0))
 

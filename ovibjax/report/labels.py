@@ -66,9 +66,20 @@ def labels_of(
     return [[texts[int(point[place])] for place, texts in made] for point in points]
 
 
+def varying(data: xr.Dataset, axis: str) -> bool:
+    """Whether an axis has several values; one that advances together with others may have a single one."""
+    values = data[axis].values
+    return values.size > 1 and bool((values != values[0]).any())
+
+
+def advances_together(data: xr.Dataset, axis: str) -> bool:
+    """Whether other axes with several values lie along the dimension of one."""
+    return any(name != axis and data[name].dims == data[axis].dims and varying(data, name) for name in axes_of(data))
+
+
 def fixed(data: xr.Dataset, dims: Sequence[Any]) -> str:
     """Axes with one value, as `beta = 0.001, prefix = 35`."""
-    one = [data[axis] for axis, dim in axes_of(data, dims).items() if data.sizes[dim] == 1]
+    one = [data[axis] for axis in axes_of(data, dims) if not varying(data, axis)]
     return ", ".join(f"{axis.name} = {text_of(axis.values[0])} {axis.attrs.get('units', '')}".strip() for axis in one)
 
 

@@ -1,6 +1,5 @@
-"""A sweep's results as lines over one axis, with 95 % intervals over seeds."""
+"""A sweep's results as lines over one axis, or as points where others change with it; 95 % intervals over seeds."""
 
-import math
 import textwrap
 from typing import Any
 
@@ -12,19 +11,21 @@ from matplotlib.figure import Figure
 
 from ovibjax.errors import InputError
 from ovibjax.report import figures as fig
-from ovibjax.report.labels import text_of, with_unit
+from ovibjax.report.labels import advances_together, text_of, with_unit
 from ovibjax.report.means import Over, average, laid_out
 from ovibjax.report.plot_choice import choose_drawn
+from ovibjax.report.scales import LOG_SPAN, scale_to
 
 _COLOURS = (fig.BLUE, fig.ORANGE, fig.GREEN, fig.RED, fig.PURPLE, fig.SKY, fig.GREY)
 _MARKERS = "osD^vPX"
-_LOG_SPAN = 30.0
 
 
 def line_figure(
     dataset: xr.Dataset, x: str, metric: str | None = None, hue: str | None = None, over: Over = "seed"
 ) -> Figure:
     """A metric along an axis with its 95 % interval: lines with bands over numbers, points with bars over names.
+
+    Where other axes advance together with it, as in a search, numbers are points with bars too: no path joins them.
 
     The axis is logarithmic where positive values span a factor of 30 (not where they are evenly spaced); a zero then
     stands on a linear piece at its left.
@@ -58,10 +59,11 @@ def line_figure(
     values = data[x].values
     with mpl.rc_context(fig.style()):
         figure, (ax,) = fig.panels(1, width_in=fig.COLUMN_IN, height_in=2.3)
-        log = bool((means[np.isfinite(means)] > 0).all() and np.nanmax(means) >= _LOG_SPAN * np.nanmin(means))
+        log = bool((means[np.isfinite(means)] > 0).all() and np.nanmax(means) >= LOG_SPAN * np.nanmin(means))
         labels = [text_of(value) for value in data[hue].values] if hue else [name]
         labels = [text if np.isfinite(row).any() else f"{text} (none)" for text, row in zip(labels, means, strict=True)]
-        (_points if values.dtype.kind not in "fiu" else _lines)(ax, values, means, halves, labels, log)
+        draw = _points if values.dtype.kind not in "fiu" else _scattered if advances_together(data, x) else _lines
+        draw(ax, values, means, halves, labels, log)
         ax.set(xlabel=with_unit(data, x, pretty=True), ylabel=with_unit(data, name, pretty=True))
         if log:
             ax.set_yscale("log")
@@ -87,7 +89,17 @@ def _lines(ax: Axes, x: np.ndarray, means: np.ndarray, halves: np.ndarray, label
         # On a logarithmic axis an interval that reaches zero would swallow the panel.
         low = np.maximum(mean - half, 0.3 * mean) if log else mean - half
         ax.fill_between(x, low, mean + half, where=np.isfinite(half), color=_COLOURS[i], alpha=0.18, lw=0)
-    _scale_x(ax, x)
+    scale_to(ax, "x", x, at_values=len(x) <= 10)
+
+
+def _scattered(ax: Axes, x: np.ndarray, means: np.ndarray, halves: np.ndarray, labels: list[str], log: bool) -> None:
+    """Points with bars at numbers, per row of `means` [lines, P]."""
+    for i, (mean, half, label) in enumerate(zip(means, halves, labels, strict=True)):
+        up = np.where(np.isfinite(half), half, 0.0)
+        down = np.minimum(up, 0.7 * np.abs(mean)) if log else up
+        look: dict[str, Any] = {"ms": 3.2, "elinewidth": 0.7, "alpha": 0.8, "label": label}
+        ax.errorbar(x.astype(np.float64), mean, (down, up), color=_COLOURS[i], fmt=_MARKERS[i], **look)
+    scale_to(ax, "x", x)
 
 
 def _points(ax: Axes, x: np.ndarray, means: np.ndarray, halves: np.ndarray, labels: list[str], log: bool) -> None:
@@ -105,40 +117,3 @@ def _points(ax: Axes, x: np.ndarray, means: np.ndarray, halves: np.ndarray, labe
     ax.set_xticks(range(len(x)), texts, rotation=30 if steep else 0, ha="right" if steep else "center")
     ax.set_xlim(-0.5, len(x) - 0.5)
     ax.grid(visible=False, axis="x")
-
-
-def _scale_x(ax: Axes, x: np.ndarray) -> None:
-    """Scale and ticks of a numeric abscissa with sorted values."""
-    positive = x[x > 0]
-    even = len(x) > 2 and np.allclose(np.diff(x), x[1] - x[0], rtol=1e-3)
-    log = bool(x[0] >= 0 and len(positive) > 1 and positive[-1] >= _LOG_SPAN * positive[0] and not even)
-    place = x
-    if log and x[0] == 0:
-        decades = float(np.clip(np.median(np.diff(np.log10(positive))), 0.3, 1.0))
-        # The linear piece from 0 to the least value is as wide as linscale * 10 / 9 decades.
-        ax.set_xscale("symlog", linthresh=positive[0], linscale=0.9 * decades)
-        place = np.r_[np.full(len(x) - len(positive), np.log10(positive[0]) - decades), np.log10(positive)]
-    elif log:
-        ax.set_xscale("log")
-        place = np.log10(x)
-    if len(x) <= 10 and place[-1] > place[0]:
-        plain = positive.size == 0 or (positive[0] >= 1e-3 and positive[-1] < 1e5)
-        texts, end = [], -math.inf
-        for value, at in zip(x, (place - place[0]) / (place[-1] - place[0]), strict=True):
-            text = f"{value:g}" if plain or not log else _power(value)
-            # Widths in the panel: seven-point digits on 2.7 inches.
-            half_width = 0.5 * (0.022 * (4 if "$" in text else len(text)) + 0.02)
-            texts.append(text if at - half_width >= end else "")
-            end = at + half_width if texts[-1] else end
-        ax.set_xticks(x, texts)
-        ax.minorticks_off()
-    elif log and x[0] > 0 and x[-1] < 1e3 * x[0]:
-        fig.plain_log_ticks(ax.xaxis)
-
-
-def _power(value: float) -> str:
-    if value == 0:
-        return "0"
-    mantissa, exponent = f"{value:.5e}".split("e")
-    times = "" if float(mantissa) == 1 else rf"{float(mantissa):g}\cdot"
-    return rf"${times}10^{{{int(exponent)}}}$"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import xarray as xr
 
 from ovibjax.errors import InputError
-from ovibjax.report.labels import axes_of, find, fixed, grid_dims, listing, metrics, text_of
+from ovibjax.report.labels import axes_of, find, fixed, grid_dims, listing, metrics, text_of, varying
 from ovibjax.report.means import Over, lacking, over_text, prepare
 
 
@@ -77,7 +77,7 @@ def choose_drawn(dataset: xr.Dataset, drawn: Sequence[tuple[str, str]], metric: 
 
 def _left_over(data: xr.Dataset, dim: str, along: Sequence[str], hue: bool) -> str:
     """What to do about an axis with several values of which a drawing has room for one."""
-    axis = next(iter(axes_of(data, [dim])), dim)
+    axis = next((name for name in axes_of(data, [dim]) if varying(data, name)), dim)
     values = data[axis].values
     ways = [f"choose one with --where {axis}={text_of(values[-1])}"]
     if hue:

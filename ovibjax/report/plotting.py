@@ -1,4 +1,4 @@
-"""A sweep's results as a picture: along one axis as lines, over two as a heat map."""
+"""A sweep's results as a picture: along one axis as lines, over two as a heat map or, of a search, as points."""
 
 from pathlib import Path
 
@@ -7,8 +7,10 @@ import xarray as xr
 from ovibjax.errors import InputError
 from ovibjax.report.figures import save_figure
 from ovibjax.report.heat_map import heat_figure
+from ovibjax.report.labels import axes_of
 from ovibjax.report.lines import line_figure
 from ovibjax.report.means import Over
+from ovibjax.report.scatter import scatter_figure
 
 
 # As many as there are things to say of a plot; the command line has an option for each.
@@ -21,7 +23,10 @@ def plot(
     over: Over = "seed",
     y: str | None = None,
 ) -> None:
-    """Draw a metric along an axis (see `line_figure`) or over two (see `heat_figure`) and write the picture.
+    """Draw a metric along an axis (see `line_figure`) or over two, and write the picture.
+
+    Over two axes that cross it is a heat map (see `heat_figure`), over two that advance together points (see
+    `scatter_figure`).
 
     Args:
         dataset: results.
@@ -30,14 +35,19 @@ def plot(
         metric: the metric; may be left out where only one depends on `x`.
         hue: axis that gives one line per value; not with `y`.
         over: axes to average over.
-        y: axis along the ordinate of a heat map.
+        y: axis along the ordinate, where two are given.
 
     Raises:
         InputError: what cannot be drawn, or the file cannot be written.
     """
     if y is not None and hue is not None:
         raise InputError(f"--hue {hue}: a heat map of {x} and {y} has no lines; leave one of the three out")
-    figure = line_figure(dataset, x, metric, hue, over) if y is None else heat_figure(dataset, x, y, metric, over)
+    if y is None:
+        figure = line_figure(dataset, x, metric, hue, over)
+    else:
+        axes = axes_of(dataset)
+        together = x != y and x in axes and axes[x] == axes.get(y)
+        figure = (scatter_figure if together else heat_figure)(dataset, x, y, metric, over)
     kinds = figure.canvas.get_supported_filetypes()
     if path.suffix[1:].lower() not in kinds:
         raise InputError(f"{path}: not a kind of picture; choose a name that ends in .png, .pdf or .svg")

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from ovibjax.errors import InputError
 from ovibjax.report.cells import cells
-from ovibjax.report.labels import axes_of, find, fixed, grid_dims, labels_of, metrics, numbers_of, with_unit
+from ovibjax.report.labels import axes_of, find, fixed, grid_dims, labels_of, metrics, numbers_of, varying, with_unit
 from ovibjax.report.means import Over, average, lacking, notes_on, over_text, prepare
 from ovibjax.report.ranking import Ranking
 
@@ -150,8 +150,8 @@ def _drawn(
     rows, along = dims
     made = Table(title=Text(fixed(data, rows)), caption=Text("; ".join(captions)), box=box.SIMPLE_HEAD)
     axes = axes_of(data, rows)
-    varying = [i for i, dim in enumerate(axes.values()) if data.sizes[dim] > 1]
-    for head in (*(with_unit(data, list(axes)[i]) for i in varying), *(column.head for column in columns)):
+    several = [i for i, axis in enumerate(axes) if varying(data, axis)]
+    for head in (*(with_unit(data, list(axes)[i]) for i in several), *(column.head for column in columns)):
         made.add_column(Text(head), justify="right")
     flawed = any(bool(flag.any()) for flag in lacking(data).values())
     if flawed:
@@ -162,7 +162,7 @@ def _drawn(
     notes = notes_on(data, along, [row // trailing for row in shown]) if flawed else [""] * len(shown)
     texts = [cells(column.mean, column.half, shown) for column in columns]
     for place, row in enumerate(shown):
-        line = [Text(keys[place][i]) for i in varying]
+        line = [Text(keys[place][i]) for i in several]
         line += [Text(text[place], "bold" if low[row] else "") for text, low in zip(texts, lows, strict=True)]
         made.add_row(*line, *([Text(notes[place])] if flawed else []))
     return made

@@ -19,6 +19,14 @@ list. `key` follows the axis `seed`, so that members of one seed draw the same n
 are paired. `shared` are data for all members; `Along` gives data per value of one axis. Outputs are arrays by name, of
 any shape; `dims`, `coords` and `units` label them. Members that are not finite are marked `diverged`.
 
+Where a grid of many axes would be too large, `sobol` and `random_points` draw points from ranges, which advance
+together:
+
+>>> points = sweep.sobol({"beta": sweep.Range(1e-3, 10, log=True), "rate": sweep.Range(0, 1)}, 8)
+>>> dataset = sweep.run(member, {**points, "seed": range(4)}, {"best": 1.0}, zipped=[list(points)])
+>>> dict(dataset.sizes), bool(dataset.cost.mean("seed").min() < 0.5)
+({'beta_rate': 8, 'seed': 4}, True)
+
 With `store="x.zarr"` members are on disk within a second of being computed; the same call goes on after a kill and
 ends with the same bits, and another grid reads what the store has and adds what it lacks. A call that would compute
 something else is refused with what differs. `shard=(3, 16)` computes a sixteenth, `merge` joins stores,

@@ -4,6 +4,9 @@ from .engine import run as run
 from .grid import Axis as Axis
 from .merging import merge as merge
 from .reading import open as open
+from .sampling import Range as Range
+from .sampling import random_points as random_points
+from .sampling import sobol as sobol
 from .select import best as best
 from .select import take as take
 from .select import tree_of as tree_of
@@ -15,13 +18,16 @@ __all__ = [
     "Along",
     "Axis",
     "Interrupted",
+    "Range",
     "best",
     "config_of",
     "merge",
     "on_ray",
     "open",
     "open_dataset",
+    "random_points",
     "run",
+    "sobol",
     "take",
     "tree_of",
 ]

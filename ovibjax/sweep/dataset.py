@@ -9,6 +9,7 @@ import xarray
 from ovibjax.sweep.grid import Axis, Grid
 from ovibjax.sweep.layout import Layout
 from ovibjax.sweep.members import DIVERGED, grid_keys, point_keys, row_codes, row_keys
+from ovibjax.sweep.program import SEED
 
 _MOST_HOLE_BYTES = 1 << 26
 """A grid whose holes are more than its members, and take more than this, is shown as a list of members."""
@@ -69,9 +70,9 @@ def union(layout: Layout, rows: np.ndarray | None, asked: Sequence[Grid] = ()) -
         asked: grids of members that are there or to come.
 
     Returns:
-        Every value that occurs on every dimension, ascending (names in their order). Where that would be mostly holes,
-        as of members at random points, all axes advance together, a member a place. And how many members there are, or
-        are to come.
+        Every value that occurs on every dimension, ascending (names in their order); axes that advanced together in one
+        of the grids do here, and all but the seed where there would be more holes than members. Where too many are
+        left, all axes advance together, a member a place. And how many members there are, or are to come.
     """
     parts = [grid.points(np.arange(grid.size), list(layout.units)) for grid in asked]
     values = [{name: _values(grid, name) for name in layout.units} for grid in asked]
@@ -83,12 +84,28 @@ def union(layout: Layout, rows: np.ndarray | None, asked: Sequence[Grid] = ()) -
     codes = {name: np.concatenate([part[name] for part in parts]) for name in layout.units}
     every = {name: np.concatenate([part[name] for part in values]) for name in layout.units}
     members = len(set(point_keys(codes)))
-    grid = _grid(layout, codes, every, layout.groups)
+    groups = _joined([*layout.groups, *(group for grid in asked for group in grid.groups)])
+    grid = _grid(layout, codes, every, groups)
+    if grid.size > 2 * members and max(map(len, groups)) > 1:  # a search beside a grid, or another one
+        apart = tuple(group for group in groups if SEED in group)
+        points = tuple(name for name in layout.units if not any(name in group for group in apart))
+        grid = _grid(layout, codes, every, _joined([points, *apart]))
     item_bytes = sum(v.dtype.itemsize * int(np.prod(v.shape)) for v in layout.variables.values())
     holes = grid.size - members
     if holes > members and holes * item_bytes > _MOST_HOLE_BYTES:
         grid = _grid(layout, codes, every, (tuple(layout.units),))
     return grid, members
+
+
+def _joined(groups: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Groups of axes with those that share an axis as one, in the order of the axes."""
+    order = list(dict.fromkeys(axis for group in groups for axis in group))
+    sets = [{axis} for axis in order]
+    for group in groups:
+        touched = [one for one in sets if not one.isdisjoint(group)]
+        sets = [one for one in sets if one.isdisjoint(group)] + [set[str]().union(*touched)]
+    joined = (tuple(filter(one.__contains__, order)) for one in sets)
+    return sorted(joined, key=lambda group: order.index(group[0]))
 
 
 def _values(grid: Grid, axis: str) -> np.ndarray:
