@@ -1,5 +1,6 @@
 """Units that cannot be right are named, whatever the route; those that can be are taken without a word."""
 
+import json
 import math
 import warnings
 
@@ -177,3 +178,21 @@ def test_feature_files_in_other_units_are_named(tmp_path):
     np.savez(tmp_path / "globe.npz", **fields | {"positions_m": 47.1 + position * 1e-5})
     with pytest.warns(Doubt, match=r"globe\.npz: positions_m look like latitude"):
         load(tmp_path / "globe.npz")
+
+
+@pytest.mark.parametrize(
+    ("factor", "scale", "words"), [(1.0, 1.0, "radians"), (180 / math.pi, 1e-5, "latitude"), (180 / math.pi, 1.0, "")]
+)
+def test_towns_in_other_units_are_named(tmp_path, factor, scale, words):
+    position, heading = circle(20)
+    for frame in range(20):
+        for camera in ("Front", "Back", "Left", "Right"):
+            write(tmp_path / "rgb" / camera / f"{frame:06d}.png", encode(pixels(1)))
+        place = dict(zip("xyz", (position[frame] * scale + (47.1 if scale < 1 else 0.0)).tolist(), strict=True))
+        turn = {"pitch": 0.0, "yaw": float(wrapped(heading[frame]) * factor), "roll": 0.0}
+        text = json.dumps({"uav_state": {"position": place, "rotation": turn}})
+        write(tmp_path / "metadata" / f"{frame:06d}.json", text.encode())
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        open_source(tmp_path).close()
+    assert [words in str(one.message) and one.category is Doubt for one in said] == ([True] if words else [])

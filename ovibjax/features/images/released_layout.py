@@ -9,15 +9,18 @@ runs clockwise seen from above; those of the embedded town are right-handed and 
 yaw is measured from x towards y, so that (cos yaw, sin yaw) is the heading and errors in metres mean the same.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ovibjax.errors import refusal
+import numpy as np
+
+from ovibjax.errors import doubt, refusal
 from ovibjax.features.frames import MAX_ID_CHARS
 from ovibjax.features.images.folder import FolderFiles, list_folder
 from ovibjax.features.images.metadata import Pose, read_axes, read_pose
 from ovibjax.features.images.source import Files, Frame, OnStep, Skipped, Source, nothing_left
+from ovibjax.features.units import seem_geographic, seem_radians
 from ovibjax.views import VIEWS
 
 _EXPECTED = "rgb/<Camera>/<frame>.png (or .jpg) and metadata/<frame>.json"
@@ -50,6 +53,9 @@ def read_towns(files: Files, n_views: int | None, cameras: Mapping[str, str], on
 
     Raises:
         InputError: no town, a camera is missing altogether, a name is unusable, or no frame is left.
+
+    Warns:
+        Doubt: positions or headings that can hardly be in metres and degrees.
     """
     towns = _towns(files)
     for town in towns.values():
@@ -66,8 +72,9 @@ def read_towns(files: Files, n_views: int | None, cameras: Mapping[str, str], on
         if not town.metadata:
             raise refusal(where, f"no poses; expected {_EXPECTED}")
         axes.add(read_axes(files, town.calibration))
-        prefix = f"{place}/" if len(towns) > 1 else ""
+        prefix, before = f"{place}/" if len(towns) > 1 else "", len(frames)
         _read_town(files, town, prefix, n_views, frames, skipped, on_step)
+        _doubt_units(where, frames[before:])
     if not frames:
         raise nothing_left(str(files.path), skipped)
     return Source(files, tuple(frames), tuple(skipped), " and ".join(sorted(axes)))
@@ -175,3 +182,15 @@ def _read_town(
             sizes = tuple(files.sizes_bytes[image] for image in images)
             scene = pose.scene or prefix.rstrip("/")
             frames.append(Frame(prefix + name, pose.position_m, pose.yaw_rad, scene, pose.context, images, sizes))
+
+
+def _doubt_units(where: str, frames: Sequence[Frame]) -> None:
+    """Name poses of a town that can hardly be in the units of the layout."""
+    position = np.array([frame.position_m for frame in frames]).reshape(-1, 3)
+    if seem_geographic(position):
+        doubt(where, "positions look like latitude and longitude in degrees; they are taken for metres")
+    if seem_radians(position, np.degrees([frame.yaw_rad for frame in frames])):
+        doubt(
+            where,
+            "rotation.yaw looks like radians: it stays within 2 pi where the route turns; it is taken for degrees",
+        )
