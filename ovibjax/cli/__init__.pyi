@@ -1,6 +1,7 @@
 from .best import Best as Best
 from .commands import check_options as check_options
 from .doctor import Doctor as Doctor
+from .edge_drive import EdgeDrive as EdgeDrive
 from .edge_export import EdgeExport as EdgeExport
 from .edge_serve import EdgeServe as EdgeServe
 from .features import Features as Features
@@ -17,6 +18,7 @@ from .town import Town as Town
 __all__ = [
     "Best",
     "Doctor",
+    "EdgeDrive",
     "EdgeExport",
     "EdgeServe",
     "Features",

@@ -14,6 +14,7 @@ from ovibjax import __version__
 from ovibjax.cli.best import Best
 from ovibjax.cli.doctor import Doctor
 from ovibjax.cli.edge import Edge
+from ovibjax.cli.edge_drive import EdgeDrive
 from ovibjax.cli.edge_export import EdgeExport
 from ovibjax.cli.edge_serve import EdgeServe
 from ovibjax.cli.features import Features
@@ -74,6 +75,7 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("town",): Town,
     ("edge", "export"): EdgeExport,
     ("edge", "serve"): EdgeServe,
+    ("edge", "drive"): EdgeDrive,
     ("doctor",): Doctor,
 }
 

@@ -1,10 +1,11 @@
-"""The commands of the live edge: `ovibjax edge export` and `serve`."""
+"""The commands of the live edge: `ovibjax edge export`, `serve` and `drive`."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
 
+from ovibjax.cli.edge_drive import EdgeDrive
 from ovibjax.cli.edge_export import EdgeExport
 from ovibjax.cli.edge_serve import EdgeServe
 
@@ -14,7 +15,9 @@ class Edge:
     """The whole chain with real sockets and clocks: an edge server, robots, and what they wrote down."""
 
     what: Annotated[
-        Annotated[EdgeExport, tyro.conf.subcommand("export")] | Annotated[EdgeServe, tyro.conf.subcommand("serve")],
+        Annotated[EdgeExport, tyro.conf.subcommand("export")]
+        | Annotated[EdgeServe, tyro.conf.subcommand("serve")]
+        | Annotated[EdgeDrive, tyro.conf.subcommand("drive")],
         tyro.conf.arg(name=""),
     ]
     """What to do."""

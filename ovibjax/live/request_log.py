@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from ovibjax.errors import refusal, unreadable
+from ovibjax.errors import InputError, refusal, unreadable
 
 REFUSALS_PER_S = 50
 """Refused connections that are written down in a second; the others are counted."""
@@ -37,7 +37,7 @@ class RequestLog:
         if path is not None:
             try:
                 self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-                _end_last_line(path, self._file)
+                _begin(path, self._file)
             except OSError as error:
                 raise refusal(path, f"the log cannot be written ({error.strerror}); choose another --log") from error
 
@@ -84,29 +84,51 @@ def read_log(path: Path) -> Iterator[dict[str, Any]]:
     Raises:
         InputError: the file cannot be read, or a line is no event.
     """
+    damaged: InputError | None = None
     try:
         with path.open("rb") as file:
             for number, line in enumerate(iter(lambda: file.readline(LINE_LIMIT_BYTES), b""), start=1):
-                if not line.endswith(b"\n"):
-                    if len(line) < LINE_LIMIT_BYTES:
-                        return
-                    raise refusal(path, "too long for an event; it is no log of ovibjax edge", number)
-                try:
-                    found = json.loads(line)
-                except (ValueError, RecursionError) as error:
-                    raise refusal(path, "no JSON; it is no log of ovibjax edge, or damaged", number) from error
-                if not isinstance(found, dict) or not isinstance(found.get("event"), str):
-                    raise refusal(path, "no event; it is no log of ovibjax edge", number)
-                yield found
+                found = _event(line)
+                # Where a run died within a line, the next one begins.
+                if damaged is not None and (found is None or found["event"] != "start"):
+                    raise damaged
+                damaged = None if found else refusal(path, "no event; it is no log of ovibjax edge, or damaged", number)
+                if found is not None:
+                    yield found
+                elif number == 1:
+                    raise damaged or AssertionError
+        if damaged is not None and _ends_a_line(path):
+            raise damaged
     except OSError as error:
         raise unreadable(path, "the log cannot be read", error) from error
 
 
-def _end_last_line(path: Path, file: int) -> None:
-    """Where the machine died within a line, begin a new one."""
+def _event(line: bytes) -> dict[str, Any] | None:
+    """The event on a line, if it is one."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and isinstance(found.get("event"), str) else None
+
+
+def _ends_a_line(path: Path) -> bool:
+    """Whether a file ends where a line does."""
+    with path.open("rb") as file:
+        if not file.seek(0, os.SEEK_END):
+            return True
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
+
+
+def _begin(path: Path, file: int) -> None:
+    """Refuse a file of something else; where a run died within a line, begin a new one."""
     with path.open("rb") as reader:
-        if reader.seek(0, os.SEEK_END) and reader.seek(-1, os.SEEK_END) >= 0 and reader.read(1) != b"\n":
-            os.write(file, b"\n")
+        first = reader.readline(LINE_LIMIT_BYTES)
+    if first and _event(first) is None:
+        raise refusal(path, "not a log of ovibjax edge, and nothing is written into it; choose another --log")
+    if not _ends_a_line(path):
+        os.write(file, b"\n")
 
 
 def _plain(value: Any) -> Any:
