@@ -200,6 +200,7 @@ class Robot:
 _draw = jax.jit(lambda key, route, params, actions: draw(key, route, params.env, actions), static_argnums=3)
 
 
+# What a slot brings comes as separate arguments: putting it together on the host would cost as much as the step.
 @partial(jax.jit, static_argnames=("policy", "actions"))
 def _tick(
     state: State,
