@@ -27,7 +27,7 @@ def member(key, point, shared):
     def step(total, _):
         return total + point["x"] * jax.random.normal(key, (30,)).sum(), None
 
-    return {"total": jax.lax.scan(step, 0.0, length=200_000)[0]}
+    return {"total": jax.lax.scan(step, 0.0, length=2_000_000)[0]}
 """
 
 
@@ -48,7 +48,7 @@ def main() -> int:
                 "PYTHONFAULTHANDLER": "1",
             }
             after_s = draw.uniform(0, given.within_s)
-            arguments = ["sweep", "run", "mine.py", "--chunk", "1", "--out", "a.zarr"]
+            arguments = ["sweep", "run", "mine.py", "--out", "a.zarr"]
             came = press(arguments, after_s, Path(folder), env, limit_s=120)
         word = "lost" if came.lost() else "clean" if came.clean() else "ended otherwise"
         counts[word] += 1

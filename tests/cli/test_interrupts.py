@@ -177,6 +177,6 @@ def test_presses_while_everything_is_loaded(tmp_path, after_s):
     from tests.benchmarks.interrupts import FILE
 
     (tmp_path / "mine.py").write_text(FILE)
-    arguments = ["sweep", "run", "mine.py", "--chunk", "1", "--out", "a.zarr"]
+    arguments = ["sweep", "run", "mine.py", "--out", "a.zarr"]
     came = press(arguments, after_s, tmp_path, {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": ""}, 120)
     assert came.clean(), came
