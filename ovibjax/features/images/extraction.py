@@ -4,6 +4,7 @@ import hashlib
 import itertools
 import warnings
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -217,7 +218,7 @@ def _config(source: Source, backbone: Backbone, batch: int) -> dict[str, str | i
     listing = hashlib.sha256()
     for frame in source.frames:
         listing.update(repr(frame).encode("utf-8", "backslashreplace"))
-    code = hashlib.sha256(f"{ovibjax.__version__} {PIL.__version__}".encode() + source_code(*_SOURCES))
+    code = hashlib.sha256(f"{ovibjax.__version__} {PIL.__version__} {version('jax')}".encode() + source_code(*_SOURCES))
     return {
         "frames": len(source.frames),
         "views": len(source.frames[0].images),
