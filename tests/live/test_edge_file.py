@@ -48,10 +48,11 @@ def test_robots_do_not_stand_on_references(edge_file):
 def test_answers_are_those_of_the_replay(edge_file):
     """Code of a frame, decoded and retrieved one by one, against the leave-one-out residuals of all frames at once."""
     model, actions = EdgeModel(edge_file), edge_file.actions
+    encode = jax.jit(encode_views, static_argnames="arch")
     for row in range(0, len(edge_file.route_m), 17):
         for a, k in enumerate(actions.prefix):
             x = edge_file.route_x[row].reshape(1, -1)
-            code = np.asarray(encode_views(edge_file.params, x, model.masks[a], edge_file.arch))[0]
+            code = np.asarray(encode(edge_file.params, x, model.masks[a], edge_file.arch))[0]
             found, similarity = model.retrieved(a, model.decoded(a, code[:k]))
             off = np.array(model.position_m(found)) - edge_file.origin_m - edge_file.route_m[row]
             np.testing.assert_allclose(off[:2], edge_file.route_residual_m[row, a], atol=1e-4)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ovibjax.live.shaping import TokenBucket
@@ -29,7 +29,7 @@ def played(rates_bps, sends, depth_bytes, step_s=1e-3):
     return left
 
 
-@patient
+@settings(patient, max_examples=20)
 @given(st.integers(0, 1000), st.sampled_from([0.0, 150.0]))
 def test_bytes_leave_when_a_link_has_sent_them(seed, depth_bytes):
     rng = np.random.default_rng(seed)
