@@ -22,8 +22,8 @@ PUBLIC = {
     "ovibjax": """FeatureSet InputError cards cli control edge encoder features link live load_features make_feature_set
         report reproduce room_features runtime scheduling sweep system town_features views world""",
     "ovibjax.cards": "CardInterrupted Job PRESETS card_names card_paths load_card load_features load_pair",
-    "ovibjax.cli": """Best Doctor EdgeDrive EdgeExport EdgeServe Features Replay Reproduce Show SweepMerge SweepRun
-        SweepSystem SweepTrain SweepUpgrade Town check_options""",
+    "ovibjax.cli": """Best Doctor EdgeDrive EdgeExport EdgeReport EdgeServe Features Replay Reproduce Show
+        SweepMerge SweepRun SweepSystem SweepTrain SweepUpgrade Town check_options""",
     "ovibjax.control": """ACTIONS ControlParams Environment POLICIES Prices Route Scene embedded_drives fit_predictor
         make_controller make_environment make_scene net_voi replay summarize""",
     "ovibjax.edge": """Index TrainAndJudge Trained brute_force build_index calibrate coarse_to_fine errors judge

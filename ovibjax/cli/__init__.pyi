@@ -3,6 +3,7 @@ from .commands import check_options as check_options
 from .doctor import Doctor as Doctor
 from .edge_drive import EdgeDrive as EdgeDrive
 from .edge_export import EdgeExport as EdgeExport
+from .edge_report import EdgeReport as EdgeReport
 from .edge_serve import EdgeServe as EdgeServe
 from .features import Features as Features
 from .replay import Replay as Replay
@@ -20,6 +21,7 @@ __all__ = [
     "Doctor",
     "EdgeDrive",
     "EdgeExport",
+    "EdgeReport",
     "EdgeServe",
     "Features",
     "Replay",

@@ -16,6 +16,7 @@ from ovibjax.cli.doctor import Doctor
 from ovibjax.cli.edge import Edge
 from ovibjax.cli.edge_drive import EdgeDrive
 from ovibjax.cli.edge_export import EdgeExport
+from ovibjax.cli.edge_report import EdgeReport
 from ovibjax.cli.edge_serve import EdgeServe
 from ovibjax.cli.features import Features
 from ovibjax.cli.replay import Replay
@@ -76,6 +77,7 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("edge", "export"): EdgeExport,
     ("edge", "serve"): EdgeServe,
     ("edge", "drive"): EdgeDrive,
+    ("edge", "report"): EdgeReport,
     ("doctor",): Doctor,
 }
 

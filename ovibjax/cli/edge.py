@@ -1,4 +1,4 @@
-"""The commands of the live edge: `ovibjax edge export`, `serve` and `drive`."""
+"""The commands of the live edge: `ovibjax edge export`, `serve`, `drive` and `report`."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -7,6 +7,7 @@ import tyro
 
 from ovibjax.cli.edge_drive import EdgeDrive
 from ovibjax.cli.edge_export import EdgeExport
+from ovibjax.cli.edge_report import EdgeReport
 from ovibjax.cli.edge_serve import EdgeServe
 
 
@@ -17,7 +18,8 @@ class Edge:
     what: Annotated[
         Annotated[EdgeExport, tyro.conf.subcommand("export")]
         | Annotated[EdgeServe, tyro.conf.subcommand("serve")]
-        | Annotated[EdgeDrive, tyro.conf.subcommand("drive")],
+        | Annotated[EdgeDrive, tyro.conf.subcommand("drive")]
+        | Annotated[EdgeReport, tyro.conf.subcommand("report")],
         tyro.conf.arg(name=""),
     ]
     """What to do."""
