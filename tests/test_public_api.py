@@ -22,7 +22,7 @@ PUBLIC = {
     "ovibjax": """FeatureSet InputError cards cli control edge encoder features link live load_features make_feature_set
         report reproduce room_features runtime scheduling sweep system town_features views world""",
     "ovibjax.cards": "CardInterrupted Job PRESETS card_names card_paths load_card load_features load_pair",
-    "ovibjax.cli": """Best Doctor EdgeDrive EdgeExport EdgeReport EdgeServe Features Replay Reproduce Show
+    "ovibjax.cli": """Best Doctor EdgeDrive EdgeExport EdgeReport EdgeServe Features Replay Report Reproduce Show
         SweepMerge SweepRun SweepSystem SweepTrain SweepUpgrade Town check_options""",
     "ovibjax.control": """ACTIONS ControlParams Environment POLICIES Prices Route Scene embedded_drives fit_predictor
         make_controller make_environment make_scene net_voi replay summarize""",
@@ -39,8 +39,8 @@ PUBLIC = {
         profile_rate_bps rate_bps read_trace request_bytes resample semantic_latency_ms transmit_s unpack""",
     "ovibjax.live": """Answer FrameReader RobotState WireError frame pack_answer pack_request unpack_answer
         unpack_request""",
-    "ovibjax.report": """Claim Interval Ranking band bars choose interval plot select sheet table variance_shares watch
-        write_claims write_csv write_page write_parquet""",
+    "ovibjax.report": """Claim Effects Interval Ranking band bars choose effects interval plot select sheet table
+        variance_shares watch write_claims write_csv write_page write_parquet write_results_page write_sweep_page""",
     "ovibjax.runtime": """PRECISIONS cache_folder faster_precision in_order in_threads keep_compiled_programs
         one_blas_thread pool_threads progress_bar workers""",
     "ovibjax.scheduling": """LEVELS POLICIES RequestTrace SchedulerParams TIES Weights default_params

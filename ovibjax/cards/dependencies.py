@@ -98,9 +98,9 @@ def outdated(results: Path) -> dict[str, str]:
             continue
         made_with = json.loads(file.read_text(encoding="utf-8")).get("code")
         if made_with is None:
-            reasons[name] = "does not say what code it was made with"
+            reasons[name] = "do not say what code they were made with"
         elif made_with != code_hash(card):
-            reasons[name] = "was made with other code"
+            reasons[name] = "were made with other code"
     return reasons
 
 

@@ -11,6 +11,8 @@ from ovibjax.cards.catalog import card_names, card_paths, load_card, takes_queri
 from ovibjax.cards.expected_time import in_words, remaining_s
 from ovibjax.cards.job import PRESETS, CardInterrupted, Job
 from ovibjax.cards.loading import load_features, load_pair
+from ovibjax.cards.paper_parts import PARTS
+from ovibjax.cards.result_pages import write_result_pages
 from ovibjax.errors import InputError
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.sequence import sequence_of
@@ -44,7 +46,7 @@ def reproduce(
         order: what the frames of `data` are, one of `features.sequence.ORDERS`; None as they look.
 
     Returns:
-        The results page.
+        The web page of results, beside which is one in Markdown.
 
     Raises:
         InputError: bad options or data.
@@ -77,7 +79,7 @@ def reproduce(
     lenient = bool(data) and not chosen
     if not _run_cards(cards, lambda name: job(name=name, out=out / name, order=order, card=files[name]), lenient):
         raise InputError(f"{source}: allows no figure; the reasons are above")
-    return out / "README.md"
+    return write_result_pages(out)
 
 
 def _check_options(preset: str, only: Sequence[str], seed: int, rank: int | None) -> None:
@@ -141,7 +143,7 @@ def _run_card(card: ModuleType, job: Job, lenient: bool) -> bool:
         with job.stage("other"):
             card.run(job)
     except CardInterrupted:  # the card wrote what it had
-        write_page(results)
+        write_result_pages(results)
         raise
     except KeyboardInterrupt:
         _drop_if_empty(job.out)
@@ -153,7 +155,7 @@ def _run_card(card: ModuleType, job: Job, lenient: bool) -> bool:
         console.print(f"{job.name}: left out, {error}", highlight=False)
         return False
     _print_stages(job.name, job.stages)
-    write_page(results)
+    write_page(results, PARTS)
     return True
 
 

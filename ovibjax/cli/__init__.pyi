@@ -7,6 +7,7 @@ from .edge_report import EdgeReport as EdgeReport
 from .edge_serve import EdgeServe as EdgeServe
 from .features import Features as Features
 from .replay import Replay as Replay
+from .report import Report as Report
 from .reproduce import Reproduce as Reproduce
 from .show import Show as Show
 from .sweep_merge import SweepMerge as SweepMerge
@@ -25,6 +26,7 @@ __all__ = [
     "EdgeServe",
     "Features",
     "Replay",
+    "Report",
     "Reproduce",
     "Show",
     "SweepMerge",

@@ -20,6 +20,7 @@ from ovibjax.cli.edge_report import EdgeReport
 from ovibjax.cli.edge_serve import EdgeServe
 from ovibjax.cli.features import Features
 from ovibjax.cli.replay import Replay
+from ovibjax.cli.report import Report
 from ovibjax.cli.reproduce import Reproduce
 from ovibjax.cli.show import Show
 from ovibjax.cli.sweep_merge import SweepMerge, SweepUpgrade
@@ -55,6 +56,7 @@ Command = (
     | Annotated[Sweep, tyro.conf.subcommand("sweep")]
     | Annotated[Show, tyro.conf.subcommand("show")]
     | Annotated[Best, tyro.conf.subcommand("best")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Features, tyro.conf.subcommand("features")]
     | Annotated[Town, tyro.conf.subcommand("town")]
@@ -71,6 +73,7 @@ _OPTIONS: dict[tuple[str, ...], type] = {
     ("sweep", "upgrade"): SweepUpgrade,
     ("show",): Show,
     ("best",): Best,
+    ("report",): Report,
     ("replay",): Replay,
     ("features",): Features,
     ("town",): Town,

@@ -12,7 +12,8 @@ from ovibjax.runtime.progress import console
 class Reproduce:
     """Reproduce the paper's figures and tables; without options, all of them on the embedded town.
 
-    Figures, tables (CSV) and judged claims (JSON) are written to OUT/<figure>/, and OUT/README.md shows them all.
+    Figures, tables (CSV) and judged claims (JSON) are written to OUT/<figure>/, and OUT/index.html and
+    OUT/README.md show them all.
     Rendering and embedding the town is done once and cached (folder: OVIBJAX_CACHE, or the user's cache).
     """
 

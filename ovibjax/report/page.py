@@ -1,74 +1,103 @@
-"""The results page: every figure with its claims, the paper's numbers beside ours."""
+"""The results page in Markdown, to be read beside the code: figures, claims and small tables, the paper's beside ours.
 
-import json
+Long tables stay CSV; `web` writes the page on which they can be explored.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ovibjax.report.claims import read_claims
+from ovibjax.errors import InputError
+from ovibjax.report.claims import HELD, NOT_HELD, ON_AVERAGE, REPORTED, SILENT
+from ovibjax.report.sections import Section, Table, read_sections
+
+MOST_ROWS = 20
+"""Rows up to which a table stands on the page."""
 
 _MARKS = {
-    "held": "✅ held",
-    "held on average": "🟡 held on average",
-    "not held": "❌ not held",
-    "reported": "ℹ️ reported",
-    "says nothing here": "➖ says nothing here",
+    HELD: "✅ held",
+    ON_AVERAGE: "🟡 held on average",
+    NOT_HELD: "❌ not held",
+    REPORTED: "ℹ️ reported",
+    SILENT: "➖ says nothing here",
 }
 
 
-def write_page(folder: Path) -> Path:
+def write_page(folder: Path, parts: Mapping[str, Sequence[str]] | None = None) -> Path:
     """Write `README.md` in a results folder from what its cards left there.
 
     Args:
         folder: results folder; each subfolder with a `claims.json` becomes a section.
+        parts: names of subfolders by part of the work, in the order in which they are shown.
 
     Returns:
         The page's path.
+
+    Raises:
+        InputError: a file of the folder is damaged, or the page cannot be written.
     """
+    sections = list(read_sections(folder, parts))
     lines = [
         "# Results",
         "",
-        "Written by `ovibjax reproduce`; do not edit. Intervals are 95 % over seeds (Student's t). *Held* means that",
-        "the whole interval satisfies the rule, *held on average* that only the mean does, *says nothing here* that",
-        "what it presupposes is not met. Claims marked *(ours)* are this project's, not the paper's. The paper's",
-        "numbers come from CARLA Town05 and a Jetson Orin NX: in another world metres do not compare, orderings do.",
+        "Written by `ovibjax reproduce`; do not edit. [index.html](index.html) is the same to explore: one file, to be",
+        "downloaded and opened. Intervals are 95 % over seeds (Student's t). *Held* means that the whole interval",
+        "satisfies the rule, *held on average* that only the mean does, *says nothing here* that what it presupposes",
+        "is not met. Claims marked *(ours)* are this project's, not the paper's. The paper's numbers come from CARLA",
+        "Town05 and a Jetson Orin NX: in another world metres do not compare, orderings do.",
         "",
+        *_overview(sections),
     ]
-    for section in sorted(path.parent for path in folder.glob("*/claims.json")):
+    for section in sections:
         lines += _section(section)
     page = folder / "README.md"
-    page.write_text("\n".join(lines))
+    try:
+        page.write_text("\n".join(lines), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{page}: cannot write there ({error.strerror}); choose another folder") from error
     return page
 
 
-def _section(folder: Path) -> list[str]:
-    provenance = json.loads((folder / "provenance.json").read_text())
-    name = folder.name
-    lines = [f"## {provenance.get('title', name)}", "", f"![{name}]({name}/figure.png)", ""]
-    if provenance.get("caption"):
-        lines += [provenance["caption"], ""]
+def _overview(sections: Sequence[Section]) -> list[str]:
+    """Claims by figure and verdict."""
+    lines = ["| part | figure | " + " | ".join(_MARKS.values()) + " |", "|---|---|" + "---|" * len(_MARKS)]
+    for section in sections:
+        tally = Counter(claim.verdict for claim in section.claims)
+        counts = " | ".join(str(tally[verdict] or "") for verdict in _MARKS)
+        lines.append(f"| {section.part} | [{section.title}](#{_anchor(section.title)}) | {counts} |")
+    total = Counter(claim.verdict for section in sections for claim in section.claims)
+    return [*lines, "| | all | " + " | ".join(str(total[verdict]) for verdict in _MARKS) + " |", ""]
+
+
+def _anchor(title: str) -> str:
+    """Address of a heading as forges make it."""
+    return "".join("-" if c == " " else c for c in title.lower() if c.isalnum() or c in " -_")
+
+
+def _section(section: Section) -> list[str]:
+    name, facts = section.name, section.facts
+    lines = [f"## {section.title}", ""]
+    for picture in section.pictures:
+        lines += [f"![{section.title}: {picture.stem}]({name}/{picture.name})", ""]
+    if section.caption:
+        lines += [section.caption, ""]
     lines += ["| claim | paper | ours | verdict |", "|---|---|---|---|"]
-    for claim in read_claims(folder / "claims.json"):
-        cells = (claim.text, claim.paper, claim.ours, _MARKS[claim.verdict])
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    for table in sorted(folder.glob("*.csv")):
-        if table.stat().st_size < 4000:
-            lines += ["", f"`{name}/{table.name}`", "", *_markdown_table(table)]
-    made = ", ".join(
-        f"{key} {provenance[key]}"
-        for key in ("preset", "seeds", "frames", "version", "commit", "jax")
-        if key in provenance
-    )
-    lines += [
-        "",
-        f"<sub>{made}; {provenance.get('seconds', '?')} s on {provenance.get('machine', '?')}</sub>",
-        "",
-    ]
+    lines += [_row((claim.text, claim.paper, claim.ours, _MARKS[claim.verdict])) for claim in section.claims]
+    for table in section.tables:
+        lines += ["", *_table(name, table)]
+    keys = ("preset", "seeds", "frames", "version", "commit", "jax")
+    made = ", ".join(f"{key} {facts[key]}" for key in keys if key in facts)
+    lines += ["", f"<sub>{made}; {facts.get('seconds', '?')} s on {facts.get('machine', '?')}</sub>", ""]
     return lines
 
 
-def _markdown_table(path: Path) -> list[str]:
-    header, *rows = [line.split(",") for line in path.read_text().strip().splitlines()]
-    return [
-        "| " + " | ".join(header) + " |",
-        "|" + "---|" * len(header),
-        *("| " + " | ".join(row) + " |" for row in rows),
-    ]
+def _table(folder: str, table: Table) -> list[str]:
+    """A small table, or where a long one is."""
+    name = f"[`{folder}/{table.path.name}`]({folder}/{table.path.name})"
+    if len(table.rows) > MOST_ROWS or not table.rows:
+        return [f"{name}: {len(table.rows):,} rows"]
+    return [name, "", _row(table.header), "|" + "---|" * len(table.header), *map(_row, table.rows)]
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -68,7 +68,7 @@ def test_figures_of_other_code_are_named(tmp_path):
     name, path = "setup", card_paths(["setup"])[0]
     folder = tmp_path / name
     folder.mkdir()
-    for facts, reason in (({}, "does not say"), ({"code": "0" * 16}, "other code")):
+    for facts, reason in (({}, "do not say"), ({"code": "0" * 16}, "other code")):
         (folder / "provenance.json").write_text(json.dumps(facts))
         assert reason in outdated(tmp_path)[name]
     (folder / "provenance.json").write_text(json.dumps({"code": code_hash(path)}))
