@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from scipy.stats import spearmanr
 
 from ovibjax.errors import InputError
 from ovibjax.report.claims import Interval
-from ovibjax.report.labels import axes_of, find, metrics, text_of
+from ovibjax.report.labels import advances_together, axes_of, find, metrics, text_of
 from ovibjax.report.means import SEED, Over, average, prepare, repetitions, spans
 from ovibjax.report.shares import variance_shares
 
@@ -25,11 +26,13 @@ class Effects:
             95 % interval over seeds, infinite where there is no seed or only one.
         shares: share of the variance of the means by axis, `beta`, and pair of axes, `beta x gamma`, and the `rest`;
             empty where a point has no finite mean.
+        ranks: Spearman's rank correlation of the metric with each axis of points that were drawn, from -1 to 1.
         complete: whether every member counts; otherwise levels are means over different parts of the grid.
     """
 
     levels: dict[str, list[tuple[str, Interval]]]
     shares: dict[str, float]
+    ranks: dict[str, float]
     complete: bool
 
     def main(self) -> dict[str, float]:
@@ -73,7 +76,8 @@ def effects(dataset: xr.Dataset, metric: str, over: Over = SEED) -> Effects:
     labels = {dim: " / ".join(axes_of(data, [dim])) for dim in varying}
     listed = [dim for dim in varying if data.sizes[dim] <= MOST_LEVELS]
     levels = {labels[dim]: _levels(data, name, dim, along) for dim in listed}
-    return Effects(levels, _shares(data, name, along, labels), bool((data["finished"] & ~data["diverged"]).all()))
+    complete = bool((data["finished"] & ~data["diverged"]).all())
+    return Effects(levels, _shares(data, name, along, labels), _ranks(data, name, along, varying), complete)
 
 
 def _levels(data: xr.Dataset, name: str, dim: str, along: Sequence[str]) -> list[tuple[str, Interval]]:
@@ -102,6 +106,23 @@ def _shares(data: xr.Dataset, name: str, along: Sequence[str], labels: dict[str,
     except InputError:
         return {}
     return found
+
+
+def _ranks(data: xr.Dataset, name: str, along: Sequence[str], dims: Sequence[str]) -> dict[str, float]:
+    """How each axis of numbers that advances together with others orders the means."""
+    mean = average(data, data[name], along)[0]
+    found = {}
+    for dim in dims:
+        axes = [
+            axis for axis in axes_of(data, [dim]) if advances_together(data, axis) and data[axis].dtype.kind in "fiu"
+        ]
+        per = mean.mean([other for other in mean.dims if other != dim]).values
+        known = np.isfinite(per)
+        for axis in axes:
+            values = data[axis].values[known]
+            if known.sum() > 2 and np.ptp(values) > 0 and np.ptp(per[known]) > 0:
+                found[axis] = float(spearmanr(values, per[known]).statistic)
+    return dict(sorted(found.items(), key=lambda entry: -abs(entry[1])))
 
 
 def _largest(shares: dict[str, float]) -> dict[str, float]:

@@ -9,7 +9,7 @@ import pytest
 from ovibjax.report.web.results_html import write_results_page
 from ovibjax.report.web.studies import TableStudy
 from ovibjax.report.web.sweep_html import write_sweep_page
-from tests.report.cases import made_results
+from tests.report.cases import made_results, zipped
 from tests.report.folders import PARTS, write_results
 from tests.report.test_web import PAIRS
 
@@ -171,7 +171,16 @@ def test_the_explorer_follows_its_choices(opened):
     assert len(lines) == 25 and lines[0] == "beta,gamma,prefix,mean_m,mean_m_half,members"
 
 
-def test_an_interaction_leads_to_its_chart(opened, pages, tmp_path, browser):
+def test_points_that_advance_together_are_scattered(opened, pages, tmp_path):
+    pages["search"] = write_sweep_page(zipped(made_results()), tmp_path / "search.html", "search", "latency")
+    page = opened("search")
+    for label, option in (("Along", "gamma"), ("A line per", "beta (1/bit)"), ("As", "colours")):
+        choice(page, label).select_option(option)
+    assert page.locator("#explorer svg circle").count() == 3
+    assert page.locator("[data-role=controls] select").count() == 3
+
+
+def test_an_interaction_leads_to_its_chart(opened, pages, tmp_path):
     complete = write_sweep_page(made_results().isel(beta=[0, 1]), tmp_path / "two.html", "two")
     pages["two"] = complete
     page = opened("two")

@@ -66,6 +66,17 @@ def test_zipped_axes_are_one_and_without_seeds_there_is_no_interval():
     assert all(np.isinf(span.half) for _, span in spans)
 
 
+def test_points_that_were_drawn_have_rank_correlations():
+    n = 20
+    a, b = np.linspace(0, 1, n) ** 3, np.random.default_rng(1).permutation(n) / n
+    flags = {name: (("point", "seed"), np.full((n, 2), name == "finished")) for name in ("finished", "diverged")}
+    y = np.exp(3 * a)[:, None] + np.array([0.0, 1.0])
+    coords = {"a": ("point", a), "b": ("point", b), "kind": ("point", ["x"] * n), "seed": [0, 1]}
+    found = effects(xr.Dataset({"y": (("point", "seed"), y), **flags}, coords=coords), "y")
+    assert found.ranks["a"] == pytest.approx(1) and list(found.ranks) == ["a", "b"] and abs(found.ranks["b"]) < 0.5
+    assert effects(made_results(), "latency").ranks == {}
+
+
 def test_an_unknown_metric_is_refused():
     with pytest.raises(InputError, match="latency"):
         effects(made_results(), "latencies")

@@ -12,7 +12,7 @@ from ovibjax.report.labels import metrics
 from ovibjax.report.means import average, prepare
 from ovibjax.report.web import studies
 from ovibjax.report.web.studies import TableStudy, studies_of
-from tests.report.cases import GAMMA, made_results, zipped
+from tests.report.cases import made_results, zipped
 
 
 def rows_of(**columns):
@@ -81,9 +81,10 @@ def test_a_sweep_has_the_means_of_its_table():
                 assert count == {(2, 0): 3, (2, 3): 0}.get(tuple(place[:2]), 5)
 
 
-def test_zipped_axes_are_one():
+def test_axes_that_advance_together_are_told():
     study = next(study for study in studies_of(zipped(made_results())) if "latency" in study.metrics)
-    assert list(study.axes) == ["beta / gamma"] and study.axes["beta / gamma"][0] == f"0.001 / {GAMMA[1]:g}"
+    assert list(study.axes) == ["beta", "gamma"] and study.points.tolist() == [[0, 0], [1, 1], [2, 2]]
+    assert study.together == [["beta", "gamma"]] and study.packed()["together"] == [["beta", "gamma"]]
 
 
 def test_without_seeds_every_member_stands_by_itself():

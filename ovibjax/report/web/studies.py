@@ -14,7 +14,7 @@ import xarray as xr
 
 from ovibjax.errors import InputError
 from ovibjax.report.claims import interval
-from ovibjax.report.labels import axes_of, grid_dims, metrics, text_of, with_unit
+from ovibjax.report.labels import axes_of, grid_dims, metrics, text_of, varying, with_unit
 from ovibjax.report.means import SEED, Over, average, counted, laid_out, prepare
 
 MOST_NUMBERS = 150_000
@@ -39,6 +39,7 @@ class Study:
         over: what there are `count` of behind a mean, `seeds`; empty where it is one measurement.
         start: what is drawn first: `metric`, `x`, `lines`, and values of other axes by name.
         labels: what stands for an axis or for one of its texts, where not itself.
+        together: axes that advance together, as those of points drawn from ranges do.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Study:
     over: str = "seeds"
     start: Mapping[str, Any] = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)
+    together: Sequence[Sequence[str]] = ()
 
     def packed(self) -> dict[str, Any]:
         """The same in JSON's types, numbers with five significant digits."""
@@ -75,6 +77,7 @@ class Study:
             "half": {name: _short(values) for name, values in self.half.items()},
             "count": self.count.tolist(),
             "start": dict(self.start),
+            "together": [list(names) for names in self.together],
         }
 
 
@@ -186,18 +189,16 @@ def studies_of(dataset: xr.Dataset, over: Over = "seed") -> Iterator[Study]:
 
 
 def _study(data: xr.Dataset, name: str, dims: Sequence[str], group: Sequence[str], along: Sequence[str]) -> Study:
-    """The study of metrics over some dimensions; zipped axes, which share one, are one axis of texts."""
-    axes: dict[str, list[Any]] = {}
-    units: dict[str, str] = {}
-    for dim in dims:
-        named = list(axes_of(data, [dim]))
-        label = " / ".join(named)
-        columns = [data[axis].values.tolist() for axis in named]
-        axes[label] = (
-            columns[0] if len(named) == 1 else [" / ".join(map(text_of, row)) for row in zip(*columns, strict=True)]
-        )
-        units[label] = with_unit(data, named[0], pretty=True) if len(named) == 1 else label
+    """The study of metrics over some dimensions."""
     shape = tuple(data.sizes[dim] for dim in dims)
+    places = dict(zip(dims, np.indices(shape).reshape(len(shape), -1), strict=True))
+    axes: dict[str, list[Any]] = {}
+    points: list[np.ndarray] = []
+    for axis, dim in axes_of(data, dims).items():
+        values = data[axis].values.tolist()
+        axes[axis] = known = list(dict.fromkeys(values))
+        points.append(np.array([known.index(value) for value in values], np.int64)[places[dim]])
+    sharing = [[axis for axis in axes_of(data, [dim]) if varying(data, axis)] for dim in dims]
     spans = {metric: average(data, data[metric], along) for metric in group}
     halves = {metric: laid_out(data, half, dims).values.ravel() for metric, (_, half) in spans.items()}
     first = next((axis for axis in reversed(axes) if len(axes[axis]) > 1 and _is_numeric(axes[axis])), "")
@@ -207,13 +208,14 @@ def _study(data: xr.Dataset, name: str, dims: Sequence[str], group: Sequence[str
         ", ".join(group[:3]) + (f" and {len(group) - 3} more" if len(group) > 3 else ""),
         axes,
         {metric: with_unit(data, metric, pretty=True) for metric in group},
-        np.stack([grid.ravel() for grid in np.indices(shape)], axis=1).reshape(math.prod(shape), len(dims)),
+        np.stack(points, axis=1) if points else np.zeros((1, 0), np.int64),
         {metric: laid_out(data, mean, dims).values.ravel() for metric, (mean, _) in spans.items()},
         {metric: np.where(np.isfinite(half), half, np.nan) for metric, half in halves.items()},
         np.broadcast_to(_expanded(counted(data, swept, along), len(shape)), shape).ravel(),
         "seeds" if along == [SEED] else "members" if along != ["(one)"] else "",
         {"x": first} if first else {},
-        units,
+        {axis: with_unit(data, axis, pretty=True) for axis in axes},
+        [names for names in sharing if len(names) > 1],
     )
 
 

@@ -9,7 +9,7 @@ import xarray as xr
 from ovibjax.errors import InputError
 from ovibjax.report.best import Choice, choose
 from ovibjax.report.claims import Interval
-from ovibjax.report.labels import axes_of, find, grid_dims, listing, metrics, text_of, with_unit
+from ovibjax.report.labels import axes_of, find, grid_dims, listing, metrics, text_of, varying, with_unit
 from ovibjax.report.main_effects import Effects, effects
 from ovibjax.report.means import Over, lacking
 from ovibjax.report.web.rendering import render, write
@@ -100,7 +100,7 @@ def _choice(dataset: xr.Dataset, metric: str, word: str, sign: int, choice: Choi
         "metric": with_unit(dataset, metric),
         "word": word,
         "span": Interval(sign * choice.means[metric], choice.halves[metric]),
-        "point": _named({axis: value for axis, value in choice.point.items() if dataset[axis].size > 1}),
+        "point": _named({axis: value for axis, value in choice.point.items() if varying(dataset, axis)}),
         "second": said,
         "missing": choice.missing,
     }
@@ -116,6 +116,7 @@ def _shown(found: Effects) -> dict[str, Any]:
         "main": found.main(),
         "pairs": found.interactions(),
         "rest": found.shares.get("rest", 0.0),
+        "ranks": found.ranks,
         "complete": found.complete,
     }
 

@@ -24,7 +24,7 @@
     const short = (number, digits) => (number && (Math.abs(number) < 1e-4 || Math.abs(number) >= 1e7) ? number.toExponential(digits - 1) : number.toPrecision(digits));
     if (size > 6 || Math.abs(mean) >= 1e7) return short(mean, 4) + (half ? ` ± ${short(half, 2)}` : "");
     const digits = half || mean % 1 ? Math.max(size, 0) : 0;
-    return mean.toFixed(digits) + (half === null ? "" : ` ± ${half.toFixed(digits)}`);
+    return mean.toFixed(digits) + (half === null ? "" : ` ± ${half ? half.toFixed(digits) : 0}`);
   };
   const plain = (value) => String(Number(value.toPrecision(6)));
 
@@ -41,9 +41,19 @@
     return { where: axes.join(", "), value: `${metricLabel(state.metric)}: ${value}`, of: over ? `${count[point]} ${over}` : "" };
   };
 
+  // The axes that advance together with one, itself among them.
+  const group = (axis) => {
+    const { axes, together } = state.study;
+    const names = together.find((some) => some.includes(axes[axis]?.name));
+    return names ? names.map((name) => axes.findIndex((other) => other.name === name)) : [axis];
+  };
+  const drawn = (axis) => axis === state.x || axis === state.lines;
+  // Axes of which one value is chosen: of those that advance together one, and none where one of them is drawn along.
+  const chosen = () => several(state.study).filter((axis) => !group(axis).some(drawn) && group(axis)[0] === axis);
+
   const matching = () => {
     const { points, mean } = state.study;
-    const fixed = several(state.study).filter((axis) => axis !== state.x && axis !== state.lines);
+    const fixed = chosen();
     return mean[state.metric].map((_, point) => point)
       .filter((point) => fixed.every((axis) => points[axis][point] === state.fixed[axis]));
   };
@@ -58,7 +68,7 @@
     state.metric = wanted.name;
     state.x = start.x ? named(start.x) : axes[axes.length - 1] ?? 0;
     if (state.x < 0) state.x = axes[0] ?? 0;
-    state.lines = start.lines ? named(start.lines) : axes.find((axis) => axis !== state.x && study.axes[axis].values.length <= 12) ?? -1;
+    state.lines = start.lines ? named(start.lines) : axes.find((axis) => !group(axis).includes(state.x) && study.axes[axis].values.length <= 12) ?? -1;
     state.kind = "lines";
     state.log = null;
     state.all = false;
@@ -102,13 +112,13 @@
       parts.push(select(state.kind === "map" ? "Upwards" : "A line per", [[-1, "–"], ...axes.filter((i) => i !== state.x).map((i) => [i, study.axes[i].label])], state.lines,
         (value) => { state.lines = Number(value); hideMost(); }));
     }
-    for (const axis of axes.filter((i) => i !== state.x && i !== state.lines)) {
+    for (const axis of chosen()) {
       const there = new Set(study.points[axis]);
       parts.push(select(study.axes[axis].label, study.axes[axis].texts.map((text, i) => [i, text, !there.has(i)]), state.fixed[axis],
         (value) => { state.fixed[axis] = Number(value); }));
     }
     if (state.lines >= 0) {
-      parts.push(select("As", [["lines", "lines"], ["map", "heat map"]], state.kind, (value) => { state.kind = value; }));
+      parts.push(select("As", [["lines", "lines"], ["map", group(state.x).includes(state.lines) ? "colours" : "heat map"]], state.kind, (value) => { state.kind = value; }));
     }
     if (state.kind === "lines") {
       parts.push(select("Scale", [["auto", "automatic"], ["linear", "linear"], ["log", "logarithmic"]], state.log ?? "auto",
@@ -165,7 +175,8 @@
       box.replaceChildren(made("p", { className: "soft", textContent: "Nothing was measured there; choose other values." }));
       return;
     }
-    const { options, order } = state.kind === "map" && state.lines >= 0 ? map(rows, width) : lines(rows, width);
+    const both = state.kind === "map" && state.lines >= 0;
+    const { options, order } = both ? (group(state.x).includes(state.lines) ? scatter : map)(rows, width) : lines(rows, width);
     const drawn = Plot.plot(options);
     // As one picture it has one name; its parts have none.
     drawn.querySelectorAll("g[aria-label]").forEach((part) => part.removeAttribute("aria-label"));
@@ -210,13 +221,13 @@
       const mine = known.filter((row) => row.series === one);
       const ink = COLOURS[one % COLOURS.length];
       const spread = mine.filter((row) => row.half !== null);
-      if (axis.numeric && mine.length > 1) {
+      if (axis.numeric && mine.length > 1 && group(x).length === 1) {
         marks.push(Plot.areaY(spread, { x: "value", y1: "low", y2: "high", fill: ink, fillOpacity: 0.16 }));
         marks.push(Plot.lineY(mine, { x: "value", y: "mean", stroke: ink, strokeWidth: 1.8, strokeDasharray: DASHES[Math.floor(one / COLOURS.length) % DASHES.length] }));
       } else {
         marks.push(Plot.ruleX(spread, { x: "value", y1: "low", y2: "high", stroke: ink, strokeWidth: 2 }));
       }
-      if (mine.length <= 40) marks.push(Plot.dot(mine, { x: "value", y: "mean", r: axis.numeric ? 3 : 4.5, fill: ink }));
+      if (mine.length <= 40 || group(x).length > 1) marks.push(Plot.dot(mine, { x: "value", y: "mean", r: axis.numeric ? 3 : 4.5, fill: ink }));
     }
     marks.push(tipOn(known, { x: "value", y: "mean" }));
     const options = {
@@ -274,17 +285,49 @@ const { room, ticks, text, tickRotate, ...scale } = axis.numeric ? along(axis, k
     };
   }
 
+  const shares = (rows) => {
+    const means = rows.map((row) => row.mean);
+    const [low, high] = [Math.min(...means), Math.max(...means)];
+    const share = low > 0 && high >= LOG_SPAN * low
+      ? (mean) => Math.log(mean / low) / Math.log(high / low) : (mean) => (high > low ? (mean - low) / (high - low) : 0.5);
+    for (const row of rows) row.share = share(row.mean);
+  };
+
+  // Points of two axes that advance together, coloured from the lowest (dark) to the highest (yellow).
+  function scatter(points, width) {
+    const { study, metric, x, lines: y } = state;
+    const rows = points.map((point) => ({
+      point, mean: study.mean[metric][point], across: study.axes[x].values[study.points[x][point]], up: study.axes[y].values[study.points[y][point]],
+    }));
+    shares(rows);
+    rows.sort((a, b) => a.mean - b.mean);
+    const scales = [[x, "across", width], [y, "up", 460]].map(([axis, key, room]) => {
+      const { ticks, text, room: margin, tickRotate, ...scale } = along(study.axes[axis], rows.map((row) => row[key]), room);
+      return { ticks, text, scale };
+    });
+    const look = (axis) => ({ label: study.axes[axis].label, fontSize: 13, labelArrow: "none" });
+    const options = {
+      width, height: Math.round(Math.min(460, Math.max(280, 0.55 * width))), marginLeft: 70, marginRight: 24, marginBottom: 46,
+      style: { fontSize: "13px", fontFamily: "inherit" }, color: { type: "identity" },
+      x: { axis: null, ...scales[0].scale, inset: 8 }, y: { axis: null, ...scales[1].scale, inset: 8 },
+      marks: [
+        Plot.axisX(scales[0].ticks, { ...look(x), text: scales[0].text, labelAnchor: "center" }),
+        Plot.axisY(scales[1].ticks, { ...look(y), text: scales[1].text }),
+        Plot.gridX(scales[0].ticks), Plot.gridY(scales[1].ticks),
+        Plot.dot([...rows].reverse(), { x: "across", y: "up", r: 6, fill: (row) => d3.interpolateCividis(row.share), stroke: "#666", strokeWidth: 0.5 }),
+        tipOn(rows, { x: "across", y: "up" }),
+      ],
+    };
+    return { options, order: rows };
+  }
+
   function map(points, width) {
     const { study, metric, x, lines: y } = state;
     const rows = points.map((point) => ({
       point, mean: study.mean[metric][point], half: study.half[metric][point],
       column: study.points[x][point], row: study.points[y][point],
     }));
-    const means = rows.map((row) => row.mean);
-    const [low, high] = [Math.min(...means), Math.max(...means)];
-    const share = low > 0 && high >= LOG_SPAN * low
-      ? (mean) => Math.log(mean / low) / Math.log(high / low) : (mean) => (high > low ? (mean - low) / (high - low) : 0.5);
-    for (const row of rows) row.share = share(row.mean);
+    shares(rows);
     rows.sort((a, b) => a.row - b.row || a.column - b.column);
     const texts = study.axes[y].texts;
     const marginLeft = Math.min(150, 30 + 7 * Math.max(...texts.map((text) => text.length)));
@@ -336,7 +379,7 @@ const { room, ticks, text, tickRotate, ...scale } = axis.numeric ? along(axis, k
     find("rows").textContent = `${Math.min(state.shown, points.length)} of ${points.length} rows` + (study.over ? `; mean ± half-width of its 95 % interval over ${study.over}` : "");
     find("more").hidden = points.length <= state.shown;
     find("all").setAttribute("aria-pressed", state.all);
-    find("all").hidden = visible().length === study.count.length && !state.all;
+    find("all").hidden = points.length === study.count.length && !state.all;
   }
 
   const column = (label, kind, name) => {
