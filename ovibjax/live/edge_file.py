@@ -22,6 +22,7 @@ FORMAT = "ovibjax-edge 1"
 """What the array `format` of a file says."""
 
 _PARAMS = "params."
+_MOST_REFERENCES = 1 << 24
 _AT_MOST = 1 << 16  # of any width: what a damaged file claims must not take the machine's memory
 
 
@@ -172,8 +173,8 @@ def _check_shapes(path: StrPath, arrays: dict[str, np.ndarray], arch: Architectu
     }
     for name in _ARRAYS:
         _check(path, name, arrays[name], expected[name])
-    if not refs[0] or not frames[0]:
-        raise refusal(path, "it has no reference or no frame of a route")
+    if not 0 < refs[0] < _MOST_REFERENCES or not frames[0]:
+        raise refusal(path, "it has no reference, too many, or no frame of a route")
     context, number = arrays["route_context"], arrays["route_number"]
     if context.min() < 0 or context.max() >= c or number[0] != 0 or not np.isin(np.diff(number), (0, 1)).all():
         raise refusal(path, "route_context or route_number holds numbers that it cannot")

@@ -1,7 +1,6 @@
 """From a received code to a position: decode, retrieve, expect a residual; compiled once, before anybody asks."""
 
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,17 +11,8 @@ from ovibjax.encoder.model import Architecture, Params, decode
 from ovibjax.live.edge_file import EdgeFile
 from ovibjax.views import mode_mask
 
-
-class Found(NamedTuple):
-    """What retrieval found.
-
-    Attributes:
-        row: int32, the most similar reference.
-        similarity: cosine of its descriptor and the request's.
-    """
-
-    row: jax.Array
-    similarity: jax.Array
+_DECODER = ("decoder", "completion", "principal", "descriptor")
+_DECLARED = ("encoder_1_bias", "head_1_bias")  # the network asks for them whatever part of it is used
 
 
 class EdgeModel:
@@ -36,7 +26,10 @@ class EdgeModel:
 
     def __init__(self, file: EdgeFile) -> None:
         self.file = file
-        self._params = jax.tree.map(jnp.asarray, file.params)
+        # Every array that a program is called with costs time: the encoder's and the localizer's stay behind.
+        layers = file.params["params"].items()
+        needed = {name: layer for name, layer in layers if name.startswith(_DECODER) or name in _DECLARED}
+        self._params = {"params": jax.tree.map(jnp.asarray, needed)}
         actions, arch = file.actions, file.arch
         self._number = {(mode, k): actions.index(mode, k) for mode in actions.modes for k in actions.prefixes}
         self.masks = [mode_mask(mode, arch.n_views) for mode in actions.modes for _ in actions.prefixes]
@@ -59,8 +52,8 @@ class EdgeModel:
 
     def retrieved(self, action: int, descriptor: jax.Array) -> tuple[int, float]:
         """Most similar reference of a descriptor [1, M r], and its similarity."""
-        found = jax.device_get(nearest(descriptor, self.database[action]))
-        return int(found.row[0]), float(found.similarity[0])
+        row, similarity = np.asarray(nearest(descriptor, self.database[action]))[:, 0].tolist()
+        return int(row), similarity
 
     def position_m(self, row: int) -> tuple[float, float, float]:
         """Where a reference was taken."""
@@ -97,16 +90,17 @@ def descriptors(params: Params, codes: jax.Array, k: jax.Array, view_mask: jax.A
 
 
 @jax.jit
-def nearest(descriptor: jax.Array, database: jax.Array) -> Found:
+def nearest(descriptor: jax.Array, database: jax.Array) -> jax.Array:
     """Most similar row of a database of unit norm.
 
     Args:
         descriptor: [B, M r].
-        database: [R, M r].
+        database: [R, M r], R below 2^24.
 
     Returns:
-        Fields [B]; equal similarities go to the lower row.
+        [2, B] float32 rows, exact, and similarities: one array, as fetching two takes twice as long. Equal
+        similarities go to the lower row.
     """
     similarity = normalize(descriptor) @ database.T
-    row = jnp.argmax(similarity, axis=1).astype(jnp.int32)
-    return Found(row, jnp.max(similarity, axis=1))
+    row = jnp.argmax(similarity, axis=1).astype(jnp.float32)
+    return jnp.stack([row, jnp.max(similarity, axis=1)])

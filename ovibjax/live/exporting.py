@@ -117,7 +117,7 @@ def _expectation(
         mask = mode_mask(actions.modes[a // len(actions.prefixes)], trained.arch.n_views)
         database = normalize(descriptors(trained.params, of_mode[kept], k, mask, trained.arch))
         seen = nearest(descriptors(trained.params, of_mode[asked], k, mask, trained.arch), database)
-        similarity = np.asarray(seen.similarity)
+        similarity = np.asarray(seen)[1]
         distance_m = np.linalg.norm(realised[asked, a], axis=-1)
         between = np.quantile(similarity, np.arange(1, CLASSES) / CLASSES).astype(np.float32)
         of_class = np.searchsorted(between, similarity)

@@ -110,6 +110,9 @@ class WaitingRoom:
             Its owner.
         """
         count = len(self._owners)
+        if count == 1 or self.rule == "fifo":
+            # As in the replay, no search; the rows are in the order of arrival.
+            return self._take(0)
         width = next(width for width in WIDTHS if width >= count)
         at = _choose(self._seen(now_s, width), np.int32(count), self.params, self.rule)
         return self._take(int(at))

@@ -27,12 +27,13 @@ def run(test):
 
 
 @asynccontextmanager
-async def an_edge(model, log=None, port=0, **options):
+async def an_edge(model, log=None, port=0, apart=False, **options):
     """A serving edge; its options are those of `EdgeOptions` and `Limits`."""
     limits = {name: options.pop(name) for name in list(options) if name in Limits.__dataclass_fields__}
     with RequestLog(log) as written:
         server = EdgeServer(model, EdgeOptions(**options, limits=Limits(**limits)), written)
         server.warm_up = lambda: None  # the model is compiled, and choosing compiles when it is needed
+        server._apart = apart
         stop, ready = asyncio.Event(), asyncio.Event()
         task = asyncio.create_task(server.serve("127.0.0.1", port, stop, lambda _: ready.set()))
         started = asyncio.create_task(ready.wait())

@@ -49,10 +49,13 @@ def test_answers_are_the_models(edge_model, tmp_path):
     assert events(log, "summary")[0]["ok"] == 2
 
 
+@pytest.mark.parametrize("apart", [False, True])
 @pytest.mark.parametrize("rule", POLICIES)
-def test_every_rule_answers_everybody(edge_model, rule):
+def test_every_rule_answers_everybody(edge_model, rule, apart):
+    """Whether services are short, or long enough for a thread of their own."""
+
     async def test():
-        async with an_edge(edge_model, rule=rule, in_flight=64) as server, a_client(server.port) as client:
+        async with an_edge(edge_model, rule=rule, in_flight=64, apart=apart) as server, a_client(server.port) as client:
             answers = await client.ask(*(packet(i) for i in range(40)))
             return server.counts, answers
 
