@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 class EdgeReport:
     """Turn logs of `ovibjax edge serve` and `drive` into a table per side, and on request a figure.
 
-    Given logs of both sides, it also says whether they agree on every question.
+    Beside the measured latencies of an edge stand those of the replay of the same requests (`modelled`), given their
+    times of service. Given logs of both sides, it also says whether they agree on every question.
 
     Example: ovibjax edge report edge.jsonl robots.jsonl --plot
     """
@@ -37,11 +38,14 @@ class EdgeReport:
     def run(self) -> None:
         """Run the command."""
         from ovibjax.live.log_report import agreement, edge_rows, read_runs, robot_rows, sides
+        from ovibjax.live.modelled import side_by_side
 
         if not self.logs:
             raise InputError("give one or more logs: ovibjax edge report edge.jsonl")
         edges, robots = sides(read_runs(self.logs))
         of_edges, of_robots = edge_rows(edges), robot_rows(robots)
+        for row, run in zip(of_edges, edges, strict=True):
+            row |= side_by_side(run)
         for rows in (of_edges, of_robots):
             if rows:
                 _console().print(_table(rows))

@@ -67,10 +67,11 @@ class _Pending:
 
 
 class _Spent(NamedTuple):
-    """Begin and end of a service, on the loop's clock."""
+    """Begin and end of a service, on the loop's clock, and how long the edge took to begin it once it could."""
 
     began_s: float
     ended_s: float
+    turn_ms: float = 0.0
 
 
 class _Served(NamedTuple):
@@ -220,6 +221,7 @@ class EdgeServer:
     async def _serve_requests(self) -> None:
         """One request after another, for ever."""
         loop = asyncio.get_running_loop()
+        free_s = loop.time()
         while True:
             if not len(self._room):
                 self._idle.set()
@@ -231,13 +233,15 @@ class EdgeServer:
                     self._end(pending, "expired")
                 if not len(self._room):
                     continue
+            could_s = max(free_s, self._room.since_s)
             pending = self._room.next(now_s)
             self._in_service, began_s = pending, loop.time()
             served = await self._computed(pending)
             # An edge that is to be slower than it is.
             if (left_s := began_s + 1e-3 * self._options.service_ms - loop.time()) > 0:
                 await asyncio.sleep(left_s)
-            spent = _Spent(began_s, loop.time())
+            free_s = loop.time()
+            spent = _Spent(began_s, free_s, 1000.0 * (began_s - could_s))
             self._in_service = None
             estimate_ms, service_ms = self._service_ms[pending.action], 1000.0 * (spent.ended_s - began_s)
             self._service_ms[pending.action] = estimate_ms + _FORGET * (service_ms - estimate_ms)
@@ -286,6 +290,7 @@ class EdgeServer:
             **_told(pending),
             queue_ms=queue_ms,
             service_ms=service_ms,
+            turn_ms=spent.turn_ms,
             pack_ms=pack_ms,
             **_parts(served),
         )

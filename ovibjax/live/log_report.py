@@ -14,14 +14,15 @@ from ovibjax.errors import InputError, refusal
 from ovibjax.live.request_log import read_log
 from ovibjax.scheduling.rules import default_params, scheduling_value
 
-STAGES = ("unpack", "queue", "decode", "retrieve", "pack")
-"""Parts of an edge's time on a request, as its log names them."""
+STAGES = ("unpack", "queue", "turn", "decode", "retrieve", "pack")
+"""Parts of an edge's time on a request, as its log names them; `turn` is part of `queue`: the edge was free, or had
+just become so, but had not begun yet."""
 
 TOP_SHARE = 0.1
 """Share of the requests that counts as high-value, by scheduling value (paper, Section "Multi-Client Scheduling")."""
 
 _VALUE = ("voi_m", "drift_m_per_s", "risk_m", "delay_est_ms", "urgency")
-_TRACE = (*_VALUE, "client", "ready_s", "deadline_ms", "service_est_ms", "queue_ms", "service_ms")
+_TRACE = (*_VALUE, "client", "ready_s", "deadline_ms", "service_est_ms", "queue_ms", "service_ms", "turn_ms")
 
 Floats = npt.NDArray[np.float64]
 

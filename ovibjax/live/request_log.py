@@ -132,7 +132,7 @@ def _begin(path: Path, file: int) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers with as many digits as they deserve: microseconds, tenths of a millimetre; none for what is no number."""
+    """Numbers with as many digits as they deserve: microseconds, micrometres; none for what is no number."""
     if isinstance(value, float):
-        return round(value, 4) if math.isfinite(value) else None
+        return round(value, 6) if math.isfinite(value) else None
     return value

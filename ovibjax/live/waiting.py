@@ -83,6 +83,11 @@ class WaitingRoom:
         """Predicted work that waits."""
         return float(self._column("service_est_ms").sum())
 
+    @property
+    def since_s(self) -> float:
+        """When the first of those that wait arrived."""
+        return float(self._column("ready_s")[0])
+
     def add(self, ask: Ask, owner: Any) -> None:
         """Let a request wait; raises `OverflowError` where the room is full."""
         if self.full:

@@ -14,7 +14,7 @@ from ovibjax.scheduling.rules import default_params, scheduling_value
 def request(sequence, status="ok", **fields):
     given = {"client": 1, "ready_s": 10.0 + sequence, "deadline_ms": 400, "voi_m": 1.0, "drift_m_per_s": 0.5}
     given |= {"risk_m": 6.0, "delay_est_ms": 20.0, "urgency": 1.0, "service_est_ms": 2.0, "queue_ms": 1.0}
-    given |= {"service_ms": 3.0, "unpack_ms": 0.1, "decode_ms": 1.0, "retrieve_ms": 1.5, "pack_ms": 0.2}
+    given |= {"service_ms": 3.0, "unpack_ms": 0.1, "turn_ms": 0.0, "decode_ms": 1.0, "retrieve_ms": 1.5, "pack_ms": 0.2}
     return {"event": "request", "status": status, "sequence": sequence, **given, **fields}
 
 

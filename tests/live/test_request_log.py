@@ -17,7 +17,7 @@ def test_numbers_are_as_long_as_they_deserve(tmp_path):
     assert json.loads(path.read_text()) == {
         "event": "request",
         "number": None,
-        "other": 1.2346,
+        "other": 1.234568,
         "text": "x",
         "whole": 3,
     }
