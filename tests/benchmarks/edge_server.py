@@ -18,6 +18,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -46,6 +47,12 @@ def bodies(count: int) -> list[bytes]:
         pack_request(pack(Request("FS", rng.normal(size=16), float(rng.uniform(0, 6)), 60_000, 0, number)), state)
         for number in range(count)
     ]
+
+
+def numbered(body: bytes, sequence: int) -> bytes:
+    """A request with another sequence number."""
+    request, state = unpack_request(body)
+    return pack_request(pack(replace(request, sequence=sequence)), state)
 
 
 async def serve_echo() -> None:
@@ -114,6 +121,11 @@ class Raw(asyncio.Protocol):
     def ask(self, body: bytes, due_s: float) -> None:
         self.due_s[int.from_bytes(body[14:16], "little")] = due_s
         self.transport.write(frame(body))
+
+    def again(self, body: bytes, due_s: float) -> None:
+        """Ask with the next sequence number of this connection."""
+        self.sequence = (self.sequence + 1) % 65536
+        self.ask(numbered(body, self.sequence), due_s)
 
     def data_received(self, data: bytes) -> None:
         now_s = self.loop.time()
