@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from ovibjax import __version__
 from ovibjax.runtime.cache import cache_folder
 from ovibjax.runtime.hardware import instructions, processor_name
 from ovibjax.runtime.progress import console
@@ -52,7 +53,7 @@ class Doctor:
     def _facts(self) -> Iterator[tuple[str, str]]:
         """Name and text of every line but the last."""
         versions = (f"{name} {installed(name) or 'missing'}" for name in _PACKAGES)
-        yield "ovibjax", f"{installed('ovibjax')} in {Path(__file__).parents[1]}"
+        yield "ovibjax", f"{__version__} in {Path(__file__).parents[1]}{_stale()}"
         yield "versions", f"Python {platform.python_version()}, {', '.join(versions)}"
         yield "system", f"{platform.system()} {platform.release()}, {platform.machine()}"
         yield "processor", processor_line()
@@ -80,6 +81,12 @@ def installed(package: str) -> str | None:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return None
+
+
+def _stale() -> str:
+    """That the installed record is of another version than the code that runs, as a checkout leaves it."""
+    recorded = installed("ovibjax")
+    return f" (installed as {recorded or 'nothing'}; pip install again)" if recorded != __version__ else ""
 
 
 def processor_line() -> str:

@@ -10,7 +10,7 @@ from ovibjax.errors import StrPath, doubt, refusal, unreadable
 from ovibjax.features.frames import FeatureSet, OnFrames, make_feature_set, validate
 from ovibjax.features.npz import read_npz, write_npz
 from ovibjax.features.places import coarse_m
-from ovibjax.features.units import seem_degrees, seem_geographic
+from ovibjax.features.units import scale_doubt, seem_beyond_earth, seem_degrees, seem_geographic
 from ovibjax.views import VIEWS
 
 POSITION_TOLERANCE_M = 1e-3
@@ -58,6 +58,10 @@ def load(path: StrPath, on_frame: OnFrames | None = None) -> FeatureSet:
     made = make_feature_set(**arrays, source=str(path))
     if seem_geographic(made.positions_m):
         doubt(path, "positions_m look like latitude and longitude in degrees; they are taken for metres")
+    elif seem_beyond_earth(made.positions_m):
+        doubt(path, "positions_m lie beyond any place on Earth (degrees times 1e7?); they are taken for metres")
+    elif odd := scale_doubt(made.positions_m):
+        doubt(path, f"positions_m: {odd}; they are taken for metres")
     if seem_degrees(made.positions_m, made.yaw_rad.astype(np.float64)):
         doubt(path, "yaw_rad looks like degrees: it goes beyond 2 pi as the route does not; it is taken for radians")
     return made

@@ -2,7 +2,7 @@
 
 Numbers alone do not say what they are; together with each other they often do. A position that stays within a
 thousandth of its distance from zero is one of a globe; a heading that follows the movement as radians, and not as
-degrees, is in radians.
+degrees, is in radians, whether or not it goes on beyond a full turn.
 """
 
 import math
@@ -10,11 +10,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ovibjax.features.sequence import sequence_of
+
 Array = NDArray[np.float64]
 
 _FEW = 8  # frames that say nothing
 _FAR = 20.0  # times the extent: no scene lies so far from the origin of its own coordinates
 _TURN = 2 * math.pi
+_EARTH_M = 2.1e7  # no grid of a place on Earth goes further, but for those that write their zone before the easting
+_STRIDE_M = 50.0  # nobody localizes between frames so far apart
+_SPECK_M = 0.01
 
 
 def seem_geographic(position: Array) -> bool:
@@ -33,6 +38,32 @@ def seem_geographic(position: Array) -> bool:
     return bool(on_globe and 0 < extent < 1 and size.max() > max(1.0, _FAR * extent))
 
 
+def seem_beyond_earth(position: Array) -> bool:
+    """Whether positions lie where no place on Earth does in metres, such as degrees times 1e7 of a GPS receiver."""
+    return bool((np.abs(position) > _EARTH_M).any())
+
+
+def scale_doubt(position: Array) -> str:
+    """What is odd about the size of a drive said to be in metres.
+
+    Args:
+        position: [N, 2 or 3], in the order of the frames; places in no order raise no doubt.
+
+    Returns:
+        The doubt in words; "" if there is none.
+    """
+    if len(position) < _FEW or seem_beyond_earth(position):
+        return ""
+    order, extent = sequence_of(position, np.zeros(len(position), np.int32)), np.ptp(position, axis=0).max()
+    if order.is_drive and order.step_m > _STRIDE_M:
+        return f"{order.step_m:.4g} from frame to frame (median): positions may be in centimetres, not metres"
+    # Written with five decimals or more, as degrees are and a robot that stands still is not.
+    fine = (np.abs(position - np.round(position, 4)) > 1e-9).any()
+    if order.is_drive and 0 < extent < _SPECK_M and fine:
+        return f"all of it lies within {extent:.2g}: positions may be degrees of latitude and longitude, not metres"
+    return ""
+
+
 def seem_radians(position: Array, yaw_deg: Array) -> bool:
     """Whether headings said to be degrees look like radians.
 
@@ -41,12 +72,15 @@ def seem_radians(position: Array, yaw_deg: Array) -> bool:
         yaw_deg: [N], from x towards y.
 
     Returns:
-        True where all lie within 2 pi, and follow a turning route as radians only, or fill the circle as radians do.
+        True where they follow a turning route as radians only, or fill the circle as radians do.
     """
     peak = np.abs(yaw_deg).max(initial=0.0)
-    if len(yaw_deg) < _FEW or peak > _TURN + 0.01:
+    if len(yaw_deg) < _FEW:
         return False
-    if _follows(position, yaw_deg) > 0.9 > _follows(position, np.radians(yaw_deg)):
+    as_radians, as_degrees = _follows(position, yaw_deg), _follows(position, np.radians(yaw_deg))
+    if peak > _TURN + 0.01:  # several laps, unwrapped as odometry leaves them; or degrees, which rarely agree by chance
+        return as_radians > 0.95 and as_degrees < 0.8
+    if as_radians > 0.9 > as_degrees:
         return True
     # Headings in every direction end at a half or a full turn, where a jitter of degrees thins out.
     full = any(

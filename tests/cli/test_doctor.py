@@ -4,6 +4,7 @@ from importlib.metadata import requires
 
 import pytest
 
+import ovibjax
 from ovibjax.cli import doctor
 from ovibjax.edge import self_test
 from tests.cli.cases import done_here
@@ -43,3 +44,10 @@ def test_no_cache_yet_and_an_extra_that_is_not_there(monkeypatch, tmp_path, caps
     assert set(doctor.optional_parts()) < {line.rpartition("== ")[2].strip("'\"") for line in requires("ovibjax")}
     assert ", 0 MB (" in doctor.cache_line(tmp_path / "none")
     assert "self-test" not in done_here(monkeypatch, capsys, "doctor", "--no-self-test")
+
+
+@pytest.mark.parametrize("recorded", ["0.0.1", None])
+def test_the_version_is_that_of_the_code_that_runs(monkeypatch, recorded):
+    monkeypatch.setattr(doctor, "installed", lambda name: recorded)
+    said = dict(doctor.Doctor()._facts())["ovibjax"]
+    assert said.startswith(f"{ovibjax.__version__} in ") and f"installed as {recorded or 'nothing'}" in said

@@ -13,7 +13,7 @@ from ovibjax.errors import Doubt, InputError
 from ovibjax.features.feature_files import load
 from ovibjax.features.images.by_path import open_source
 from ovibjax.features.images.pose_table import PoseOptions
-from ovibjax.features.units import seem_degrees, seem_geographic, seem_radians
+from ovibjax.features.units import scale_doubt, seem_beyond_earth, seem_degrees, seem_geographic, seem_radians
 from tests.features.cases import raw_features
 from tests.features.images.made_images import encode, pixels, write
 
@@ -75,6 +75,55 @@ def test_places_in_no_order(seed, n):
     yaw_rad[0] = 3.1
     assert seem_radians(position, yaw_rad) and not seem_radians(position, np.degrees(yaw_rad))
     assert not seem_degrees(position, yaw_rad) and seem_degrees(position, np.degrees(yaw_rad) % 359 + 0.5)
+
+
+@pytest.mark.parametrize("laps", [1.0, 2.0, 6.5, 40.0])
+@pytest.mark.parametrize("backwards", [1, -1])
+def test_radians_that_go_on_over_the_laps_are_told(laps, backwards):
+    """Yaw of odometry is not wrapped: pi/2 to 14 rad under a column of degrees."""
+    position, heading = circle(400, laps=laps)
+    position, yaw = position * (1, backwards, 1), heading * backwards
+    assert seem_radians(position, yaw) and not seem_radians(position, np.degrees(yaw))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(8, 300))
+@settings(max_examples=200, deadline=None)
+def test_degrees_that_have_nothing_to_do_with_the_movement_are_no_radians(seed, n):
+    rng = np.random.default_rng(seed)
+    position, heading = wavy(n, seed % 1000)
+    for yaw_deg in (np.cumsum(rng.normal(0, 5, n)), np.full(n, 200.0), -np.degrees(heading), 90 + rng.normal(0, 5, n)):
+        assert not seem_radians(position, np.append(yaw_deg[:-1], 250.0))
+
+
+@pytest.mark.parametrize("metres", [1e7, -1e7, 2.0037e7])
+def test_coordinates_on_earth_raise_no_doubt(metres):
+    position = circle()[0] + (metres, -metres, 0)
+    assert not seem_beyond_earth(position) and not scale_doubt(position)
+
+
+@pytest.mark.parametrize(
+    ("of_metres", "words"),
+    [(100.0, "centimetres"), (1000.0, "centimetres"), (1e-5, "degrees"), (9e-6, "degrees"), (1.0, ""), (0.1, "")],
+)
+def test_a_drive_of_odd_size_is_named(of_metres, words):
+    for position in (circle(60)[0], wavy(60)[0]):
+        odd = scale_doubt(position * of_metres)
+        assert words in odd and bool(odd) == bool(words)
+
+
+def test_places_in_no_order_and_far_apart_raise_no_doubt():
+    position = np.random.default_rng(0).uniform(-5000, 5000, (300, 3))
+    assert scale_doubt(position) == "" and scale_doubt(np.zeros((100, 3))) == ""
+
+
+def test_degrees_of_a_receiver_are_refused_with_what_settles_it(tmp_path):
+    position, heading = circle()
+    whole = np.round((np.array([47.12018, 8.5]) + position[:, :2] * 1e-5) * 1e7)
+    path = table(tmp_path, np.column_stack([whole, position[:, 2]]), {"yaw_deg": np.degrees(heading)})
+    with pytest.raises(InputError, match=r"my\.csv: .*no place on Earth.*--axes lat-lon-alt.*--axes flu") as caught:
+        opened(path)
+    assert len(str(caught.value).splitlines()) == 1
+    assert len(opened(path, axes="flu").frames) == N
 
 
 def test_many_laps_are_no_degrees():

@@ -20,7 +20,7 @@ from ovibjax.features.frames import MAX_ID_CHARS
 from ovibjax.features.images.folder import FolderFiles, list_folder
 from ovibjax.features.images.metadata import Pose, read_axes, read_pose
 from ovibjax.features.images.source import Files, Frame, OnStep, Skipped, Source, nothing_left
-from ovibjax.features.units import seem_geographic, seem_radians
+from ovibjax.features.units import scale_doubt, seem_beyond_earth, seem_geographic, seem_radians
 from ovibjax.views import VIEWS
 
 _EXPECTED = "rgb/<Camera>/<frame>.png (or .jpg) and metadata/<frame>.json"
@@ -189,8 +189,12 @@ def _doubt_units(where: str, frames: Sequence[Frame]) -> None:
     position = np.array([frame.position_m for frame in frames]).reshape(-1, 3)
     if seem_geographic(position):
         doubt(where, "positions look like latitude and longitude in degrees; they are taken for metres")
+    elif seem_beyond_earth(position):
+        doubt(where, "positions lie beyond any place on Earth (degrees times 1e7?); they are taken for metres")
+    elif odd := scale_doubt(position):
+        doubt(where, f"{odd}; they are taken for metres")
     if seem_radians(position, np.degrees([frame.yaw_rad for frame in frames])):
         doubt(
             where,
-            "rotation.yaw looks like radians: it stays within 2 pi where the route turns; it is taken for degrees",
+            "rotation.yaw looks like radians: as such it follows the route or fills a turn; it is taken for degrees",
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ovibjax.errors import InputError, refusal
+from ovibjax.errors import InputError, doubt, refusal
 from ovibjax.features.frames import CONTEXTS, MAX_ID_CHARS
 from ovibjax.features.images.axes import Axes, axes_of
 from ovibjax.features.images.folder import FolderFiles
@@ -14,7 +14,7 @@ from ovibjax.features.images.image_pattern import EXAMPLE, ImagePattern, hint_at
 from ovibjax.features.images.pose_formats import read_poses
 from ovibjax.features.images.pose_table import PoseOptions, Poses
 from ovibjax.features.images.source import MAX_MAGNITUDE, Frame, Skipped, Source, nothing_left
-from ovibjax.features.units import seem_degrees, seem_geographic, seem_radians
+from ovibjax.features.units import scale_doubt, seem_beyond_earth, seem_degrees, seem_geographic, seem_radians
 from ovibjax.runtime.text_tables import read_text
 from ovibjax.views import VIEWS
 
@@ -53,6 +53,10 @@ def read_table(
     axes = axes or axes_of(poses.axes)
     motion = _motion(path, poses, axes)
     _refuse_doubts(path, poses, axes.stated, options.columns, list(motion))
+    if axes.degrees is None and options.axes != "flu":
+        odd = scale_doubt(np.array([place for place, _ in motion.values()]).reshape(-1, 3))
+        if odd:
+            doubt(path, f"{odd}; they are taken for metres")
     frames, skipped = list[Frame](), list[Skipped]()
     for row, (frame, place) in enumerate(zip(poses.frame, places, strict=True)):
         lacking = [image for image in place[:n_views] if image not in sizes]
@@ -119,8 +123,8 @@ def _motion(path: Path, poses: Poses, axes: Axes) -> dict[int, tuple[tuple[float
     else:
         turn = Rotation.from_quat(np.array(poses.quaternion)[rows])
         if not axes.stated and not axes.upright(turn):
-            doubt = f"with axes {axes.code}, usual for this form, the bodies do not stand upright"
-            raise refusal(path, f"{doubt}; say which way x, y and z point: --axes enu/rdf for a camera, see --help")
+            why = f"with axes {axes.code}, usual for this form, the bodies do not stand upright"
+            raise refusal(path, f"{why}; say which way x, y and z point: --axes enu/rdf for a camera, see --help")
         yaw_rad = axes.yaw_of_rotation(turn)
     placed = axes.place(position[rows])
     return {
@@ -133,19 +137,23 @@ def _refuse_doubts(path: Path, poses: Poses, axes_stated: bool, asked: Sequence[
     """Refuse numbers that can hardly be in the unit of their column, where nobody said that they are."""
     position = np.array(poses.position, np.float64)[rows].reshape(-1, 3)
     if not axes_stated and seem_geographic(position):
-        doubt = "positions look like latitude and longitude in degrees, not metres"
-        raise refusal(path, f"{doubt}; say --axes lat-lon-alt or lon-lat-alt, or --axes flu for metres")
+        why = "positions look like latitude and longitude in degrees, not metres"
+        raise refusal(path, f"{why}; say --axes lat-lon-alt or lon-lat-alt, or --axes flu for metres")
+    if not axes_stated and seem_beyond_earth(position):
+        why = f"positions reach {np.abs(position).max():.10g}, which is no place on Earth in metres"
+        settled = "divide by 1e7 and say --axes lat-lon-alt if they are degrees times 1e7, or say --axes flu for metres"
+        raise refusal(path, f"{why}; {settled}")
     name, column = poses.turn
     if not name or any(item.startswith(("yaw_deg=", "yaw_rad=")) for item in asked):
         return
     yaw = np.array(poses.yaw_rad)[rows]
     if name == "yaw_deg" and seem_radians(position, np.degrees(yaw)):
-        doubt = f"{column} looks like radians: it stays within 2 pi where the route turns"
+        why = f"{column} looks like radians: as such it follows the route or fills a turn, as degrees it does not"
     elif name == "yaw_rad" and seem_degrees(position, yaw):
-        doubt = f"{column} looks like degrees: it goes beyond 2 pi as the route does not"
+        why = f"{column} looks like degrees: it goes beyond 2 pi as the route does not"
     else:
         return
-    raise refusal(path, f"{doubt}; say which it is, --columns yaw_rad={column} or --columns yaw_deg={column}")
+    raise refusal(path, f"{why}; say which it is, --columns yaw_rad={column} or --columns yaw_deg={column}")
 
 
 def _context(path: Path, line: int, text: str) -> int:
