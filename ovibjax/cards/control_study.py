@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ovibjax.control.belief import CORRECTIONS
 from ovibjax.control.controller import GATE_SIGMA, PAPER_BUDGET_KB, Controller
 from ovibjax.control.drift import DRIFT_MODELS
 from ovibjax.control.drives import DRIVES, embedded_drives, halves
@@ -36,7 +37,7 @@ class Point(NamedTuple):
         drift_scale: factor on every drift rate.
         budget_kb: payload per route, KB.
         protocol: one of `protocols.PROTOCOLS`.
-        correction: one of `controller.CORRECTIONS`.
+        correction: one of `belief.CORRECTIONS`.
         gate_sigma: innovation above which a correction is discarded.
     """
 
@@ -188,7 +189,7 @@ def _make(preset: ControlPreset, first_seed: int, scene: Scene) -> ControlStudy:
         budget_kb=jnp.array([p.budget_kb for p in points], jnp.float32),
         mean_kb_per_s=jnp.stack([env.mean_kb_per_s for env in envs]),
         protocol=jnp.array([PROTOCOLS.index(p.protocol) for p in points], jnp.int32),
-        replaces=jnp.array([p.correction == "replace" for p in points]),
+        correction=jnp.array([CORRECTIONS.index(p.correction) for p in points], jnp.int32),
         gate_sigma=jnp.array([p.gate_sigma for p in points], jnp.float32),
     )
     outcome = jax.device_get(run_study(scene, settings, preset.size, first_seed))

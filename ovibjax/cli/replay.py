@@ -61,7 +61,8 @@ class Replay:
     drift_model: str = "rate"
     """How the error grows between corrections: rate (linearly), integrated (faster), random_walk."""
     correction: str = "replace"
-    """What the edge's position does: replace (it becomes the estimate) or kalman (it is fused with it)."""
+    """What the edge's position does: replace (it becomes the estimate), better (it does where its risk is the lower
+    one) or kalman (it is fused with the estimate)."""
     gate: float | None = None
     """Discard corrections that lie further off than so many standard deviations of what the client expects; 3 is
     usual, the paper has no such gate."""
@@ -131,7 +132,7 @@ class Replay:
 
     def _check(self) -> None:
         """Refuse what cannot be replayed before anything is rendered."""
-        from ovibjax.control.controller import CORRECTIONS
+        from ovibjax.control.belief import CORRECTIONS
         from ovibjax.control.drift import DRIFT_MODELS
         from ovibjax.control.policies import POLICIES
 

@@ -12,6 +12,7 @@
 ...     yaw_rad=jnp.zeros(slots),
 ...     predicted_m=jnp.full((slots, actions), 2.0),
 ...     residual_m=jnp.ones((slots, actions, 2)),
+...     risk_m=jnp.full((slots, actions), 1.5),
 ... )
 >>> params = control.ControlParams(control.make_environment(), control.make_controller(control.ACTIONS))
 >>> result = control.replay(jax.random.key(0), route, "periodic", params)

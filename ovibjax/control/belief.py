@@ -1,17 +1,20 @@
 """What a client believes of its position, and what is true (paper, "Local Belief and Predicted Edge Gain").
 
 The client dead-reckons, and its error grows as a model of `drift` has it. The covariance follows the same model, so
-that of what drift brings the mean squared error equals tr P. A position from the edge becomes the estimate, or is fused
-with it as a Kalman filter does; gross errors of the edge are not part of tr P, see `correct`.
+the mean squared error equals tr P. A position from the edge, which comes with its calibrated risk, becomes the estimate
+or is fused with it as a Kalman filter does.
 """
 
-import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ovibjax.control.drift import Drift, Odometry, added_m
+
+CORRECTIONS = ("replace", "better", "kalman")
+"""What a correction does: the edge's position becomes the estimate; it does where its risk is the lower one, as the
+positive part of the gross VOI has it (paper, eq. "gross_voi"); or it is fused with the estimate."""
 
 
 class Belief(NamedTuple):
@@ -44,14 +47,14 @@ class Fix(NamedTuple):
     Attributes:
         residual_x_m: realised error of the position, x.
         residual_y_m: the same, y.
-        predicted_m: predicted residual g_psi, the median of such errors on training routes.
+        risk_m: risk of the position as calibrated on training routes, the root of its mean squared error.
         toward_x: unit direction of the drift that follows, x.
         toward_y: the same, y.
     """
 
     residual_x_m: jax.Array
     residual_y_m: jax.Array
-    predicted_m: jax.Array
+    risk_m: jax.Array
     toward_x: jax.Array
     toward_y: jax.Array
 
@@ -112,31 +115,30 @@ def error_m(belief: Belief) -> jax.Array:
     return jnp.sqrt(belief.error_x_m**2 + belief.error_y_m**2)
 
 
-def correct(belief: Belief, fix: Fix, replaces: jax.Array, gate_sigma: jax.Array) -> Belief:
+def correct(belief: Belief, fix: Fix, correction: jax.Array, gate_sigma: jax.Array) -> Belief:
     """Use a position from the edge: in place of the estimate, or by a Kalman update.
 
-    The covariance of the position is that of the isotropic Gaussian whose distance from the truth has the predicted
-    residual as its median. Rare gross errors do not move it, as they do not move the median (paper, Section "Local
-    Belief and Predicted Edge Gain"); the client cannot tell them.
+    The covariance of the position is isotropic, and its trace the square of the risk that comes with it. Without a gate
+    the local risk after a replacement is that risk, the calibrated residual.
 
     Args:
         belief: before the correction.
         fix: the position.
-        replaces: whether it becomes the estimate; otherwise it is fused.
+        correction: int32, which of `CORRECTIONS`.
         gate_sigma: Mahalanobis distance of the innovation above which the position is discarded; infinity accepts
             everything.
 
     Returns:
         The belief after it; drift starts anew, in the fix's direction.
     """
-    # P(distance < g) = 1 - exp(-g^2 / 2 n) is a half. A residual of zero is a measurement within a millimetre.
-    noise = fix.predicted_m**2 / (2.0 * math.log(2.0)) + 1e-6
+    noise = 0.5 * fix.risk_m**2 + 1e-6  # a risk of zero is a measurement within a millimetre
     s_xx, s_xy, s_yy = belief.cov_xx_m2 + noise, belief.cov_xy_m2, belief.cov_yy_m2 + noise
     inverse = 1.0 / (s_xx * s_yy - s_xy**2)
     # Measurement minus estimate: the truth drops out.
     dx, dy = fix.residual_x_m - belief.error_x_m, fix.residual_y_m - belief.error_y_m
     wx, wy = (s_yy * dx - s_xy * dy) * inverse, (s_xx * dy - s_xy * dx) * inverse
-    accept = dx * wx + dy * wy <= gate_sigma**2
+    better = fix.risk_m < local_risk_m(belief)
+    accept = (dx * wx + dy * wy <= gate_sigma**2) & (better | (correction != CORRECTIONS.index("better")))
     # With isotropic noise R = n I the updated covariance P - P (P + R)^-1 P equals n P (P + R)^-1, which has no
     # difference of nearly equal numbers even where the noise is a million times the covariance.
     determinant = belief.cov_xx_m2 * belief.cov_yy_m2 - s_xy**2
@@ -158,7 +160,8 @@ def correct(belief: Belief, fix: Fix, replaces: jax.Array, gate_sigma: jax.Array
         cov_xy_m2=jnp.zeros_like(s_xy),
         cov_yy_m2=noise,
     )
-    return select(accept, select(replaces, taken, fused), belief)
+    fuses = correction == CORRECTIONS.index("kalman")
+    return select(accept, select(fuses, fused, taken), belief)
 
 
 def select(condition: jax.Array, yes: Belief, no: Belief) -> Belief:

@@ -52,6 +52,7 @@ class Slot(NamedTuple):
     number: jax.Array
     predicted_m: jax.Array
     residual_m: jax.Array
+    risk_m: jax.Array
     odometry: Odometry
     rate_bps: jax.Array
     delay_s: jax.Array

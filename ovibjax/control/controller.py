@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.belief import CORRECTIONS
 from ovibjax.control.voi import Prices
 from ovibjax.errors import InputError
 
@@ -37,9 +38,6 @@ GAP_LAMBDA_B_M_PER_S, GAP_LAMBDA_D_M_PER_S = 132.8, 0.38
 
 GATE_SIGMA = 3.0
 """An innovation gate as navigation filters have it, for those who ask for one. The paper has none."""
-
-CORRECTIONS = ("replace", "kalman")
-"""What a correction does: the edge's position becomes the estimate, or is fused with it."""
 
 
 class FixedRules(NamedTuple):
@@ -71,7 +69,7 @@ class Controller(NamedTuple):
         energy_j: [A] endpoint energy E(a) of each action.
         energy_budget_j: energy allowed over the route.
         available: [A] bool, actions that may be chosen.
-        replaces: whether a correction replaces the estimate, see `belief.correct`.
+        correction: int32, what a correction does, which of `belief.CORRECTIONS`.
         gate_sigma: innovation gate of corrections; infinity is none.
         rules: numbers of the other policies.
     """
@@ -83,7 +81,7 @@ class Controller(NamedTuple):
     energy_j: Any
     energy_budget_j: Any
     available: Any
-    replaces: Any
+    correction: Any
     gate_sigma: Any
     rules: FixedRules
 
@@ -108,7 +106,7 @@ def make_controller(
         threshold_m: net VOI above which `voi_gap` asks.
         min_gap_s: shortest time between its requests.
         budget_kb: payload per route, KB of 1,024 bytes.
-        correction: one of `CORRECTIONS`.
+        correction: one of `belief.CORRECTIONS`.
         gate_sigma: innovation above which a correction is discarded.
 
     Returns:
@@ -128,7 +126,7 @@ def make_controller(
         energy_j=jnp.zeros(len(actions), jnp.float32),
         energy_budget_j=number(jnp.inf),
         available=jnp.ones(len(actions), bool),
-        replaces=jnp.asarray(correction == "replace"),
+        correction=jnp.int32(CORRECTIONS.index(correction)),
         gate_sigma=number(gate_sigma),
         rules=FixedRules(
             period_s=number(PERIODIC_S),

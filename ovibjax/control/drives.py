@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
+from ovibjax.control.calibration import LEVELS
 from ovibjax.control.environment import PAPER_SLOTS
 from ovibjax.encoder.checkpoint import TRAIN_FRAMES
+from ovibjax.errors import InputError
 from ovibjax.features.frames import CONTEXTS, FeatureSet
 from ovibjax.features.places import from_origin, origin_of
 from ovibjax.world.town.feature_set import town_features
@@ -27,6 +29,9 @@ SURVEY_M, SURVEY_DEG = 9.0, 15.0
 leave its neighbours, 1.6 m away, and every residual would be their distance. A survey every 9 m leaves the 2 to 4 m
 that the paper reports after a request, and larger front-only residuals, as the paper has them (Section "View-Rate
 Selection"); every 4 m they are not larger. In turns a survey by distance alone would leave headings never seen."""
+
+ELSEWHERE_M = 2.0 * SURVEY_M
+"""A reference this far from another is in another place: neighbours of a survey every 9 m show the same one."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,13 @@ def join_drives(sets: list[FeatureSet], training: int) -> JoinedDrives:
 
     Returns:
         The frames.
+
+    Raises:
+        InputError: fewer training frames than the calibration tells levels apart.
     """
+    seen = sum(len(s.features) for s in sets[:training])
+    if seen < LEVELS:
+        raise InputError(f"{seen} frames on training routes; request control needs at least {LEVELS}")
     places = [s.positions_m for s in sets]
     context, contexts = np.concatenate([s.context for s in sets]), CONTEXTS
     if (context < 0).any():

@@ -32,12 +32,14 @@ class Route(NamedTuple):
         yaw_rad: [T] heading.
         predicted_m: [T, A] predicted residual g_psi of each action, m.
         residual_m: [T, A, 2] realised error of the edge's position, x and y, m.
+        risk_m: [T, A] calibrated risk that comes with that position, see `calibration`, m.
     """
 
     context: Any
     yaw_rad: Any
     predicted_m: Any
     residual_m: Any
+    risk_m: Any
 
 
 class Environment(NamedTuple):

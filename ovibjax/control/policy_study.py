@@ -51,7 +51,7 @@ class Setting(NamedTuple):
         budget_kb: payload per route, KB.
         mean_kb_per_s: link profile, KB/s.
         protocol: int32, which routes and seeds.
-        replaces: whether corrections replace the estimate.
+        correction: int32, what corrections do, which of `belief.CORRECTIONS`.
         gate_sigma: innovation above which they are discarded.
     """
 
@@ -59,7 +59,7 @@ class Setting(NamedTuple):
     budget_kb: jax.Array
     mean_kb_per_s: jax.Array
     protocol: jax.Array
-    replaces: jax.Array
+    correction: jax.Array
     gate_sigma: jax.Array
 
 
@@ -127,7 +127,7 @@ def study(
     def one(setting: Setting) -> Outcome:
         world = env._replace(drift=setting.drift, mean_kb_per_s=setting.mean_kb_per_s)
         handled = tried._replace(
-            replaces=jnp.broadcast_to(setting.replaces, tried.replaces.shape),
+            correction=jnp.broadcast_to(setting.correction, tried.correction.shape),
             gate_sigma=jnp.broadcast_to(setting.gate_sigma, tried.gate_sigma.shape),
         )
         budget = jnp.full_like(tried.budget_bytes, 1024.0) * setting.budget_kb

@@ -1,28 +1,81 @@
 """How far off the edge's answer is, for every frame and action (paper, Section "Local Belief and Predicted Edge Gain").
 
-The edge keeps some frames of the scene as references, encoded by the same checkpoint, prefix and views as the request:
-not the frozen localizer of `edge.judging`, whose references are uncompressed. Leave-one-out retrieval against them
-gives the realised residual of each frame and action.
+The edge keeps some frames of the scene as references. Leave-one-out retrieval against them ("candidate residuals use
+leave-one-out retrieval with the same-scene database") gives the realised residual of each frame and action, and by how
+much the answer beats the most similar reference in another place.
+
+References are uncompressed, as in `edge.judging`: the database holds "reference descriptors" f_n (paper, Section
+"System Architecture"), and the decoder "maps the latent representation back to the feature space. Its output is used by
+the retrieval branch". References that have passed through the code of the request are there to compare with.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
-from ovibjax.edge.retrieval import leave_one_out
+from ovibjax.control.drives import ELSEWHERE_M
+from ovibjax.edge.retrieval import Match, leave_one_out
 from ovibjax.encoder.checkpoint import Checkpoint
 from ovibjax.encoder.model import Architecture, Params, decode, encode
 from ovibjax.features.basis import project
 from ovibjax.views import mode_mask
 
 
-def residuals_m(
-    checkpoint: Checkpoint, features: np.ndarray, positions_m: np.ndarray, references: np.ndarray, actions: ActionSet
-) -> np.ndarray:
-    """Realised residual of every frame and action: error of leave-one-out retrieval.
+class Survey(NamedTuple):
+    """The edge's database, and where frames that are localized stand in it.
+
+    Attributes:
+        rows: [R] frames that are references.
+        own: [N] int32 a frame's position among them, or -1.
+        places_m: [R, 2] where the references were taken.
+    """
+
+    rows: jax.Array
+    own: jax.Array
+    places_m: jax.Array
+
+
+def make_survey(positions_m: np.ndarray, references: np.ndarray) -> Survey:
+    """A database of some frames of a scene.
+
+    Args:
+        positions_m: [N, 2 or 3] positions of all frames.
+        references: rows that the edge keeps.
+
+    Returns:
+        The database.
+    """
+    own = np.full(len(positions_m), -1, np.int32)
+    own[references] = np.arange(len(references))
+    places_m = np.asarray(positions_m, np.float32)[references, :2]
+    return Survey(jnp.asarray(references, jnp.int32), jnp.asarray(own), jnp.asarray(places_m))
+
+
+class Answers(NamedTuple):
+    """What the edge answers for every frame and action.
+
+    Attributes:
+        residual_m: [N, A, 2] horizontal error of the retrieved position, m.
+        margin: [N, A] see `edge.retrieval.Match`.
+    """
+
+    residual_m: np.ndarray
+    margin: np.ndarray
+
+
+def answers(
+    checkpoint: Checkpoint,
+    features: np.ndarray,
+    positions_m: np.ndarray,
+    references: np.ndarray,
+    actions: ActionSet,
+    recode: bool = False,
+) -> Answers:
+    """Leave-one-out retrieval of every frame with every action.
 
     Args:
         checkpoint: the encoder.
@@ -30,30 +83,28 @@ def residuals_m(
         positions_m: [N, 3] their positions.
         references: rows that are in the edge's database.
         actions: modes and prefixes.
+        recode: also pass the references through the code of the request.
 
     Returns:
-        [N, A, 2] horizontal error of the retrieved position, m.
+        Residuals and margins, on the host.
     """
     x = jnp.asarray(project(checkpoint.basis, features).reshape(len(features), -1))
-    own = np.full(len(features), -1, np.int32)
-    own[references] = np.arange(len(references))
-    found = np.asarray(
-        _retrieve(checkpoint.params, x, jnp.asarray(references), jnp.asarray(own), checkpoint.arch, actions)
-    )
-    places = positions_m[references][:, :2]
-    return (places[found].transpose(1, 0, 2) - positions_m[:, None, :2]).astype(np.float32)
+    survey = make_survey(positions_m, references)
+    found = jax.device_get(_retrieve(checkpoint.params, x, survey, checkpoint.arch, actions, recode))
+    places_m = np.asarray(survey.places_m)[found.row].transpose(1, 0, 2)
+    return Answers((places_m - positions_m[:, None, :2]).astype(np.float32), found.margin.T)
 
 
-@partial(jax.jit, static_argnames=("arch", "actions"))
+@partial(jax.jit, static_argnames=("arch", "actions", "recode"))
 def _retrieve(
-    params: Params, x: jax.Array, references: jax.Array, own: jax.Array, arch: Architecture, actions: ActionSet
-) -> jax.Array:
-    """[A, N] retrieved rows of the database."""
+    params: Params, x: jax.Array, survey: Survey, arch: Architecture, actions: ActionSet, recode: bool
+) -> Match:
+    """Leaves [A, N]."""
     masks = jnp.stack([mode_mask(mode, arch.n_views) for mode in actions.modes for _ in actions.prefixes])
 
-    def one(action: tuple[jax.Array, jax.Array]) -> jax.Array:
+    def one(action: tuple[jax.Array, jax.Array]) -> Match:
         view_mask, k = action
-        return retrieve(params, encode_views(params, x, view_mask, arch), view_mask, k, references, own, arch)
+        return retrieve(params, x, encode_views(params, x, view_mask, arch), (view_mask, k), survey, arch, recode)
 
     return jax.lax.map(one, (masks, jnp.asarray(actions.prefix)))
 
@@ -65,27 +116,30 @@ def encode_views(params: Params, x: jax.Array, view_mask: jax.Array, arch: Archi
 
 def retrieve(
     params: Params,
+    x: jax.Array,
     mu: jax.Array,
-    view_mask: jax.Array,
-    k: jax.Array,
-    references: jax.Array,
-    own: jax.Array,
+    action: tuple[jax.Array, jax.Array],
+    survey: Survey,
     arch: Architecture,
-) -> jax.Array:
-    """Leave-one-out retrieval of a prefix of every frame against the survey, encoded alike.
+    recode: bool = False,
+) -> Match:
+    """Leave-one-out retrieval of a prefix of every frame against the survey, in the views of the request.
 
     Args:
         params: network parameters.
-        mu: [N, K] latent means, see `encode_views`.
-        view_mask: [M] views of the mode.
-        k: prefix length.
-        references: [R] rows that are in the database.
-        own: [N] a frame's position in the database, or -1.
+        x: [N, M r] frames.
+        mu: [N, K] their latent means, see `encode_views`.
+        action: [M] views of the mode, and prefix length.
+        survey: the database.
         arch: widths of the network (static).
+        recode: whether the references have passed through the code (static).
 
     Returns:
-        [N] int32 retrieved positions in the database.
+        [N] positions in the database, and margins.
     """
+    view_mask, k = action
+    shown = jnp.repeat(view_mask, arch.view_dim)[None]
     prefix = (jnp.arange(arch.latent) < k).astype(jnp.float32)
-    descriptor = decode(params, mu, prefix, arch) * jnp.repeat(view_mask, arch.view_dim)[None]
-    return leave_one_out(descriptor, descriptor[references], own)
+    descriptor = decode(params, mu, prefix, arch) * shown
+    references = (descriptor if recode else x * shown)[survey.rows]
+    return leave_one_out(descriptor, references, survey.own, survey.places_m, ELSEWHERE_M)

@@ -25,6 +25,7 @@ def slots_of(route: Route, draws: Draws, scheduled: jax.Array) -> Slot:
         jnp.arange(scheduled.shape[0]),
         jnp.asarray(route.predicted_m),
         jnp.asarray(route.residual_m),
+        jnp.asarray(route.risk_m),
         draws.odometry,
         draws.rate_bps,
         draws.delay_s,

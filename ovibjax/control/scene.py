@@ -3,14 +3,16 @@
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ACTIONS, ActionSet, actions_for
-from ovibjax.control.drives import join_drives
+from ovibjax.control.calibration import calibrated_risk_m, fit_calibration
+from ovibjax.control.drives import JoinedDrives, join_drives
 from ovibjax.control.environment import Route
-from ovibjax.control.predictor import fit_predictor
-from ovibjax.control.residuals import residuals_m
-from ovibjax.encoder.checkpoint import CHECKPOINT, CheckpointConfig, train_checkpoint
+from ovibjax.control.predictor import PRIORS, fit_calibrated_prior, fit_predictor
+from ovibjax.control.residuals import answers
+from ovibjax.encoder.checkpoint import CHECKPOINT, Checkpoint, CheckpointConfig, train_checkpoint
 from ovibjax.features.frames import FeatureSet
 
 
@@ -20,7 +22,7 @@ class Scene:
 
     Attributes:
         training: training routes; prices are tuned on them.
-        held_out: routes that neither checkpoint nor predictor has seen.
+        held_out: routes that neither checkpoint nor predictor nor calibration has seen.
         predictor_m: [C, A] g_psi.
         context_share: [C] share of slots in each context on the training routes.
         contexts: their names.
@@ -35,30 +37,74 @@ class Scene:
     actions: ActionSet
 
 
-def make_scene(sets: list[FeatureSet], training: int, checkpoint: CheckpointConfig = CHECKPOINT) -> Scene:
-    """Train the checkpoint, retrieve, fit the predictor, and cut the routes.
+@dataclass(frozen=True)
+class Reading:
+    """How the paper is read where it leaves a choice.
+
+    Attributes:
+        recode: whether the edge's references have passed through the code of the request, see `residuals`.
+        prior: what an action is expected to leave, one of `predictor.PRIORS`.
+    """
+
+    recode: bool = False
+    prior: str = PRIORS[0]
+
+
+def make_scene(
+    sets: list[FeatureSet],
+    training: int,
+    checkpoint: CheckpointConfig = CHECKPOINT,
+    reading: Reading = Reading(),
+) -> Scene:
+    """Train the checkpoint, retrieve, fit predictor and calibration on training routes, and cut the routes.
 
     Args:
         sets: one feature set per drive, frames in order.
         training: how many of them are training routes.
         checkpoint: static choices of the encoder.
+        reading: how the paper is read.
+
+    Returns:
+        The scene.
+
+    Raises:
+        InputError: too few training frames.
+    """
+    frames = join_drives(sets, training)
+    return cut_scene(frames, train_checkpoint(jax.random.key(0), frames.first_frames, checkpoint), reading)
+
+
+def cut_scene(frames: JoinedDrives, trained: Checkpoint, reading: Reading) -> Scene:
+    """`make_scene` with a checkpoint that is trained already.
+
+    Args:
+        frames: the frames of all drives.
+        trained: the checkpoint.
+        reading: how the paper is read.
 
     Returns:
         The scene.
     """
-    frames = join_drives(sets, training)
     actions = actions_for(frames.features.shape[1], ACTIONS)
-    trained = train_checkpoint(jax.random.key(0), frames.first_frames, checkpoint)
-    realised = residuals_m(trained, frames.features, frames.positions_m, frames.references, actions)
-    known, context = frames.known, frames.context
-    predictor = fit_predictor(np.linalg.norm(realised[known], axis=-1), context[known], len(frames.contexts))
+    found = answers(trained, frames.features, frames.positions_m, frames.references, actions, reading.recode)
+    length_m = np.linalg.norm(found.residual_m, axis=-1)
+    margin = jnp.asarray(found.margin)
+    calibration = fit_calibration(margin, jnp.asarray(length_m**2), jnp.asarray(frames.known))
+    risk_m = np.asarray(calibrated_risk_m(calibration, margin))
+    known, context, contexts = frames.known, frames.context, len(frames.contexts)
+    if reading.prior == "calibrated":
+        prior = fit_calibrated_prior(risk_m[known], context[known], contexts)
+    else:
+        prior = fit_predictor(length_m[known], context[known], contexts)
     routes = [
         Route(
             context=context[rows].astype(np.int32),
             yaw_rad=frames.yaw_rad[rows],
-            predicted_m=predictor[context[rows]],
-            residual_m=realised[rows],
+            predicted_m=prior[context[rows]],
+            residual_m=found.residual_m[rows],
+            risk_m=risk_m[rows],
         )
-        for rows in (frames.drive == i for i in range(len(sets)))
+        for rows in (frames.drive == i for i in range(frames.drive[-1] + 1))
     ]
-    return Scene(routes[:training], routes[training:], predictor, frames.context_share, frames.contexts, actions)
+    cut = frames.training
+    return Scene(routes[:cut], routes[cut:], prior, frames.context_share, frames.contexts, actions)

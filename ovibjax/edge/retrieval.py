@@ -2,8 +2,10 @@
 
 Similarity is the cosine of descriptors. `brute_force` compares a query with every row; `coarse_to_fine` with scene
 prototypes, then with the tile prototypes of the scenes it keeps, and then with the descriptors of the tiles it keeps.
-`leave_one_out` answers for a frame of the database as if that frame were not in it.
+`leave_one_out` answers for a frame of the database as if that frame were not in it, and says how distinct the match is.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +19,7 @@ __all__ = [
     "TILES",
     "Found",
     "Index",
+    "Match",
     "brute_force",
     "build_index",
     "coarse_to_fine",
@@ -93,22 +96,43 @@ def coarse_to_fine(query: jax.Array, index: Index, scenes: int = SCENES, tiles: 
     return search(query, index, scenes, tiles).row
 
 
-def leave_one_out(query: jax.Array, reference: jax.Array, own: jax.Array) -> jax.Array:
+class Match(NamedTuple):
+    """What leave-one-out retrieval answers, and how sure it is.
+
+    Attributes:
+        row: [Q] int32 most similar row of the database.
+        margin: [Q] by how much its cosine similarity exceeds that of the most similar reference in another place.
+    """
+
+    row: jax.Array
+    margin: jax.Array
+
+
+def leave_one_out(
+    query: jax.Array, reference: jax.Array, own: jax.Array, places_m: jax.Array, elsewhere_m: float
+) -> Match:
     """Most similar reference of each query by cosine similarity, its own excluded.
 
     Args:
         query: [Q, d] descriptors.
         reference: [N, d] descriptors of the database, at least two.
         own: [Q] int32 row of the query itself in the database, or -1 where it is not in it.
+        places_m: [N, 2] horizontal positions of the references, m.
+        elsewhere_m: references further than this from the best one are in another place.
 
     Returns:
-        [Q] int32 rows of `reference`; equal similarities go to the lower row. Memory is bounded by blocks.
+        Rows, equal similarities to the lower one, and margins; where no reference is in another place the margin is
+        above the least possible similarity of -1. Memory is bounded by blocks.
     """
     rows = jnp.arange(reference.shape[0], dtype=jnp.int32)
-    unit = normalize(reference)
+    unit, asked = normalize(reference), normalize(query)
 
-    def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
+    def one(item: tuple[jax.Array, jax.Array]) -> Match:
         descriptor, self_row = item
-        return jnp.argmax(jnp.where(rows == self_row, -jnp.inf, unit @ descriptor)).astype(jnp.int32)
+        similarity = jnp.where(rows == self_row, -jnp.inf, unit @ descriptor)
+        row = jnp.argmax(similarity).astype(jnp.int32)
+        away_m = jnp.linalg.norm(places_m - places_m[row][None], axis=1)
+        rival = jnp.maximum(jnp.max(jnp.where(away_m > elsewhere_m, similarity, -jnp.inf)), -1.0)
+        return Match(row, similarity[row] - rival)
 
-    return jax.lax.map(one, (query, own), batch_size=_OWN_BLOCK)
+    return jax.lax.map(one, (asked, own), batch_size=_OWN_BLOCK)

@@ -11,6 +11,7 @@ from ovibjax.control.actions import ActionSet
 from ovibjax.control.controller import GATE_SIGMA, Controller, make_controller
 from ovibjax.control.drives import JoinedDrives, join_drives
 from ovibjax.control.environment import Environment, make_environment
+from ovibjax.control.residuals import Survey, make_survey
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.errors import InputError
@@ -56,8 +57,7 @@ class SystemData(NamedTuple):
         yaw_rad: [F] headings.
         context: [F] int32 contexts.
         known: [F] bool, frames of training routes, on which g_psi is fitted.
-        references: [R] int32 frames in the edge's database.
-        own: [F] int32 a frame's position in the database, or -1.
+        survey: the edge's database.
         routes: [C, T] int32 frames along the route of each client that is replayed.
         fleet: [S, N] int32 which of these clients each client of each edge server is; the first leads.
         env: drift, link, service.
@@ -72,8 +72,7 @@ class SystemData(NamedTuple):
     yaw_rad: Any
     context: Any
     known: Any
-    references: Any
-    own: Any
+    survey: Survey
     routes: Any
     fleet: Any
     env: Environment
@@ -130,9 +129,6 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
     basis = fit_basis(frames.first_frames, size.rank)
     x = project(basis, frames.features)
     modes = modes_for(x.shape[1])
-    references = frames.references
-    own = np.full(len(x), -1, np.int32)
-    own[references] = np.arange(len(references))
     held_out = held_out_rows(frames)
     data = SystemData(
         seen_x=project(basis, frames.first_frames),
@@ -141,8 +137,7 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
         yaw_rad=frames.yaw_rad,
         context=frames.context.astype(np.int32),
         known=frames.known,
-        references=references.astype(np.int32),
-        own=own,
+        survey=make_survey(frames.positions_m, frames.references),
         routes=held_out[np.arange(size.clients) % len(held_out)].astype(np.int32),
         fleet=((np.arange(size.clients)[:, None] + np.arange(size.fleet)) % size.clients).astype(np.int32),
         env=make_environment(frames.context_share, size.kb_per_s),

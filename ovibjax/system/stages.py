@@ -7,11 +7,13 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.control.actions import SweptActions
+from ovibjax.control.calibration import calibrated_risk_m, fit_calibration
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.environment import Route, draw
 from ovibjax.control.predictor import predictor_of_known
 from ovibjax.control.residuals import retrieve
 from ovibjax.control.route_replay import RouteResult, simulate
+from ovibjax.edge.retrieval import Match
 from ovibjax.encoder.checkpoint import mix_frames
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import Params
@@ -49,7 +51,7 @@ def train(key: jax.Array, point: dict[str, jax.Array], data: SystemData, static:
 def localize(
     params: Params, codes: jax.Array, masks: jax.Array, k: jax.Array, data: SystemData, static: SystemConfig
 ) -> tuple[Route, jax.Array]:
-    """Residuals of every frame and mode at a prefix, g_psi from them, and the clients' routes with both.
+    """Answers for every frame and mode at a prefix, g_psi and calibrated risks from them, and the clients' routes.
 
     Args:
         params: network parameters.
@@ -62,23 +64,25 @@ def localize(
     Returns:
         [C, T, ...] routes, and the mean residual of the last mode on them.
     """
+    flat = data.x.reshape(data.x.shape[0], -1)
 
-    def one(mode: tuple[jax.Array, jax.Array]) -> jax.Array:
+    def one(mode: tuple[jax.Array, jax.Array]) -> Match:
         mu, mask = mode
-        return retrieve(params, mu, mask, k, data.references, data.own, static.train.arch)
+        return retrieve(params, flat, mu, (mask, k), data.survey, static.train.arch)
 
-    found = jax.lax.map(one, (codes, masks))  # [A, F]
-    places_m = data.positions_m[data.references]
-    residual_m = jnp.moveaxis(places_m[found], 0, 1) - data.positions_m[:, None]
-    distance_m = jnp.linalg.norm(residual_m, axis=-1)
+    found = jax.lax.map(one, (codes, masks))  # leaves [A, F]
+    residual_m = jnp.moveaxis(data.survey.places_m[found.row], 0, 1) - data.positions_m[:, None]
+    distance_m, margin = jnp.linalg.norm(residual_m, axis=-1), found.margin.T
     contexts = data.env.drift.rate_m_per_s.shape[0]
     predicted_m = predictor_of_known(distance_m, data.context, data.known, contexts)
+    risk_m = calibrated_risk_m(fit_calibration(margin, distance_m**2, data.known), margin)
     rows = data.routes
     routes = Route(
         context=data.context[rows],
         yaw_rad=data.yaw_rad[rows],
         predicted_m=predicted_m[data.context[rows]],
         residual_m=residual_m[rows],
+        risk_m=risk_m[rows],
     )
     return routes, jnp.mean(distance_m[rows, -1])
 

@@ -72,7 +72,7 @@ def make_inputs(seeds: int, candidates: int) -> tuple[Draws, Route, Environment,
     size = predicted * rng.lognormal(0.0, 0.5, predicted.shape)
     residual = np.stack([size * np.cos(angle), size * np.sin(angle)], -1)
     yaw = rng.uniform(0, 2 * np.pi, SLOTS)
-    route = Route(context, *(jnp.asarray(x, jnp.float32) for x in (yaw, predicted, residual)))
+    route = Route(context, *(jnp.asarray(x, jnp.float32) for x in (yaw, predicted, residual, predicted)))
     env = make_environment()
     keys = jax.random.split(jax.random.key(0), seeds)
     draws = jax.jit(jax.vmap(lambda key: draw(key, route, env, ACTIONS)))(keys)
@@ -110,20 +110,19 @@ def ours(inputs: tuple, devices: int, per_scan: int):
 
 
 @numba.njit(parallel=True, cache=False)
-def numba_replays(start, drift, rate, delay, latency, predicted, residual, size, numbers, rest, out):
+def numba_replays(start, drift, rate, delay, latency, predicted, residual, fix_risk, size, numbers, rest, out):
     """The replay, one client at a time, replays dealt to the cores; float32 throughout.
 
     It knows what the default settings make of the formulas: the error grows linearly, corrections replace the estimate,
     the covariance is isotropic and its trace is all that is needed of it.
 
     start [S, 5] (error x and y, trace, direction x and y), drift [S, T, 3] (metres, direction x and y), rate [S, T],
-    delay and latency [S, T, A], predicted [T, A], residual [T, A, 2], size [A], numbers [C, 5] (prices of
-    bandwidth and delay, threshold, gap, budget), rest: slot, time-out.
+    delay and latency [S, T, A], predicted [T, A], residual [T, A, 2], fix_risk [T, A], size [A], numbers [C, 5]
+    (prices of bandwidth and delay, threshold, gap, budget), rest: slot, time-out.
     """
     seeds, slots = rate.shape
     actions, candidates = size.shape[0], numbers.shape[0]
     slot_s, timeout_s = rest[0], rest[1]
-    wide = np.float32(1.0 / math.log(2.0))
     tiny, eight, zero = np.float32(2e-6), np.float32(8), np.float32(0)
     for lane in numba.prange(seeds * candidates):
         s, c = lane // candidates, lane % candidates
@@ -164,7 +163,7 @@ def numba_replays(start, drift, rate, delay, latency, predicted, residual, size,
                     pex, pey, ptrace, pway, ptx, pty = ex, ey, trace, way, tx, ty
                     if wait <= timeout_s:
                         pex, pey = residual[t, action, 0], residual[t, action, 1]
-                        ptrace, pway = wide * predicted[t, action] * predicted[t, action] + tiny, zero
+                        ptrace, pway = fix_risk[t, action] * fix_risk[t, action] + tiny, zero
                         ptx, pty = drift[s, t, 1], drift[s, t, 2]
                     flight = int(min(wait, timeout_s) / slot_s)
                     arrives = t + flight
@@ -190,7 +189,7 @@ def for_numba(inputs: tuple):
     out = np.zeros((len(start) * len(control), 4), np.float32)
     world = (start, drift, draws.rate_bps, draws.delay_s, draws.latency_s)
     sizes = ACTIONS.payload_bytes
-    table = (np.asarray(leaf) for leaf in (route.predicted_m, route.residual_m))
+    table = (np.asarray(leaf) for leaf in (route.predicted_m, route.residual_m, route.risk_m))
     return (*world, *table, sizes, control, rest, out)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ovibjax.control import route_replay as replay
 from ovibjax.control.actions import ACTIONS
+from ovibjax.control.belief import CORRECTIONS
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.controller import make_controller
 from ovibjax.control.environment import Route, draw, make_environment
@@ -25,14 +26,15 @@ PREDICTED = np.array(
 
 
 def make_route(seed, slots=SLOTS, actions=8):
-    """Contexts that last a few slots, a wandering heading, residuals with look-alikes far away."""
+    """Contexts that last a few slots, a wandering heading, residuals with look-alikes far away, some of them told."""
     rng = np.random.default_rng(seed)
     context = np.repeat(rng.integers(0, 3, slots), rng.integers(1, 12, slots))[:slots]
     predicted = PREDICTED[context][:, :actions]
     residual = rng.normal(size=(slots, actions, 2)) * (predicted[..., None] / np.sqrt(2) + 0.1)
     residual += 40.0 * (rng.random((slots, actions, 1)) < 0.1) * rng.normal(size=(slots, actions, 2))
     yaw = np.cumsum(rng.normal(scale=0.3, size=slots))
-    fields = (yaw, predicted, residual)
+    risk = np.where(rng.random((slots, actions)) < 0.2, 25.0, 1.3 * predicted + 0.07)
+    fields = (yaw, predicted, residual, risk)
     return Route(context.astype(np.int32), *(jnp.asarray(x, jnp.float32) for x in fields))
 
 
@@ -65,7 +67,7 @@ def controller(actions=ACTIONS, **changes):
     for part in ("rules", "prices"):
         fields = {name: jnp.float32(v) for name, v in changes.pop(part, {}).items()}
         control = control._replace(**{part: getattr(control, part)._replace(**fields)})
-    kinds = {name: bool if name in ("available", "replaces") else jnp.float32 for name in changes}
+    kinds = {name: {"available": bool, "correction": jnp.int32}.get(name, jnp.float32) for name in changes}
     return control._replace(**{name: jnp.asarray(value, kinds[name]) for name, value in changes.items()})
 
 
@@ -100,7 +102,7 @@ def for_oracle(draws, route, params, actions=ACTIONS):
         "energy": wide(control.energy_j),
         "energy_budget": float(control.energy_budget_j),
         "available": np.asarray(control.available),
-        "replaces": bool(control.replaces),
+        "correction": CORRECTIONS[int(control.correction)],
         "gate": float(control.gate_sigma),
         "period": float(control.rules.period_s),
         "fixed_front": (float(control.rules.fixed_front_risk_m), float(control.rules.fixed_front_gap_s)),
@@ -108,7 +110,7 @@ def for_oracle(draws, route, params, actions=ACTIONS):
     }
     return (
         world,
-        {name: wide(getattr(route, f"{name}_m")) for name in ("predicted", "residual")},
+        {name: wide(getattr(route, f"{name}_m")) for name in ("predicted", "residual", "risk")},
         {
             "slot_s": float(params.env.slot_s),
             "timeout_s": float(params.env.timeout_s),
@@ -152,6 +154,7 @@ def assert_equal(found, expected):
     np.testing.assert_allclose(found.voi_m[sent], expected["voi"][sent], rtol=1e-4, atol=1e-4)
 
 
+REPLACE, BETTER, KALMAN = range(len(CORRECTIONS))
 WEAK = {"mean_kb_per_s": 0.15, "snr": 0.05, "rician_k_factor": 0.0, "queue_median_ms": 300.0, "timeout_s": 2.6}
 # No sum of these is a whole square: no risk ties with a rule's threshold.
 BUSY = {"rate_m_per_s": [0.4137, 1.2219, 2.4341], "initial_risk_m": 5.0123}
@@ -171,9 +174,10 @@ WORLDS = {
     "integrated": (BUSY | {"model": "integrated"}, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6}),
     "kalman, weak link": (
         BUSY | WEAK | {"model": "random_walk"},
-        EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "replaces": False},
+        EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "correction": KALMAN},
     ),
-    "gate bites": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0, "replaces": False}),
+    "gate bites": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0, "correction": KALMAN}),
+    "better": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "correction": BETTER}),
     "gate of a replacement": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0}),
     "tight budget": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 500.0}),
     "budget of one byte less": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 4 * 96.0 - 1.0}),

@@ -37,30 +37,31 @@ def parts(b):
     st.sampled_from([0.0, 0.3, 2.0, 9.0, 60.0, 5000.0]),
     st.sampled_from([0.5, 3.0, np.inf]),
 )
-def test_correction_is_the_textbook_update(vectors, shape, predicted, gate):
+def test_correction_is_the_textbook_update(vectors, shape, risk, gate):
     big, small, angle = shape
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     cov = (turn @ np.diag([big, small]) @ turn.T).astype(np.float32)
     error, residual = 12.0 * np.float32(vectors[:2]), 12.0 * np.float32(vectors[2:])
     want_error, want_cov, accepted = oracle.kalman(
-        error.astype(np.float64), cov.astype(np.float64), residual.astype(np.float64), predicted, gate
+        error.astype(np.float64), cov.astype(np.float64), residual.astype(np.float64), risk, gate
     )
     innovation = (residual - error).astype(np.float64)
-    distance = innovation @ np.linalg.solve(cov + oracle.noise_of(predicted), innovation)
+    distance = innovation @ np.linalg.solve(cov + oracle.noise_of(risk), innovation)
     if abs(distance - gate**2) < 1e-3 * gate**2:
         return  # on the gate itself rounding decides
-    fix = Fix(*map(jnp.float32, (*residual, predicted, 0.6, 0.8)))
-    taken = correct(of(error, cov), fix, True, jnp.float32(gate))
-    got = correct(of(error, cov), fix, False, jnp.float32(gate))
+    fix = Fix(*map(jnp.float32, (*residual, risk, 0.6, 0.8)))
+    taken, better, got = (correct(of(error, cov), fix, jnp.int32(i), jnp.float32(gate)) for i in range(3))
     got_error, got_cov = parts(got)
     fresh = (0.0, np.float32(0.6), np.float32(0.8)) if accepted else (7.0, 1.0, 0.0)
+    used = accepted and risk < np.sqrt(np.trace(cov))
+    assert jax.tree.map(float, better) == jax.tree.map(float, taken if used else of(error, cov))
     for after in (got, taken):
         assert (after.accumulated_m, after.toward_x, after.toward_y) == fresh
     if accepted:
         np.testing.assert_array_equal(parts(taken)[0], residual.astype(np.float64))
-        np.testing.assert_allclose(parts(taken)[1], oracle.noise_of(predicted), rtol=1e-6)
+        np.testing.assert_allclose(parts(taken)[1], oracle.noise_of(risk), rtol=1e-6)
     # The determinant of a float32 covariance is known to its condition number times the unit roundoff.
-    noise = oracle.noise_of(predicted)[0, 0]
+    noise = oracle.noise_of(risk)[0, 0]
     slack_m = 12.0 * 4e-7 * (max(big, small) + noise) / (min(big, small) + noise)
     np.testing.assert_allclose(got_error, want_error, rtol=1e-4, atol=1e-3 + slack_m)
     np.testing.assert_allclose(got_cov, want_cov, rtol=2e-3, atol=1e-5 * big)
@@ -86,9 +87,11 @@ def realizations():
     yaw = jnp.full(slots, 0.6)
 
     def one(key, env, control):
-        scale = predicted[..., None] / jnp.sqrt(2.0 * jnp.log(2.0))  # whose median distance is the prediction
-        residual = jax.random.normal(jax.random.fold_in(key, 7), (*predicted.shape, 2)) * scale
-        route = Route(context, yaw, predicted, residual)
+        keys = jax.random.split(jax.random.fold_in(key, 7))
+        # Found and not found: what comes with an answer tells which, and its mean square is that risk's square.
+        risk = jnp.where(jax.random.bernoulli(keys[0], 0.2, predicted.shape), 14.0, predicted)
+        residual = jax.random.normal(keys[1], (*predicted.shape, 2)) * risk[..., None] / jnp.sqrt(2.0)
+        route = Route(context, yaw, predicted, residual, risk)
         draws = draw(key, route, env, ACTIONS)
         slots_in = replay.slots_of(route, draws, jnp.zeros(slots, bool))
 
@@ -103,7 +106,7 @@ def realizations():
     return lambda env, control: many(jax.random.split(jax.random.key(11), count), env, control)
 
 
-@pytest.mark.parametrize("correction", ["replace", "kalman"])
+@pytest.mark.parametrize("correction", range(len(belief.CORRECTIONS)), ids=belief.CORRECTIONS)
 @pytest.mark.parametrize("model", DRIFT_MODELS)
 @pytest.mark.parametrize("case", ["no requests", "prompt", "late"])
 def test_risk_is_calibrated(realizations, case, model, correction):
@@ -114,7 +117,7 @@ def test_risk_is_calibrated(realizations, case, model, correction):
     control = controller(
         budget_bytes=0.0 if case == "no requests" else 1e9,
         prices=dict.fromkeys(("bandwidth_m_per_s", "delay_m_per_s"), 0.3 if case == "late" else 8.0),
-        replaces=correction == "replace",
+        correction=correction,
     )
     beliefs, info = realizations(env, control)
     beliefs, info = (jax.tree.map(lambda x: np.asarray(x, np.float64), part) for part in (beliefs, info))
@@ -146,7 +149,7 @@ def test_draws_have_the_stated_distribution():
     slots = 20_000
     context = np.tile([0, 1, 2, 2], slots // 4).astype(np.int32)
     flat = jnp.zeros((slots, 1))
-    route = Route(context, jnp.full(slots, 0.3), flat, flat)
+    route = Route(context, jnp.full(slots, 0.3), flat, flat, flat)
     env = environment(rate_m_per_s=[1.0, 4.0, 9.0], queue_sigma=0.5)
     draws = jax.tree.map(np.asarray, jax.jit(draw, static_argnames="actions")(jax.random.key(3), route, env, ACTIONS))
     for c, rate in enumerate((1.0, 4.0, 9.0)):

@@ -38,7 +38,7 @@ def inputs(seed, tuning, held_out, points):
             jax.tree.map(lambda *leaves: jnp.stack(leaves), *drifts),
             *(jnp.asarray(x, jnp.float32) for x in (budgets, [8.0, 2.0])),
             jnp.array([0, 1]),
-            jnp.array([True, False]),
+            jnp.array([0, 2]),
             jnp.float32([jnp.inf, 2.0]),
         ),
         environment(initial_risk_m=5.0123),
@@ -62,7 +62,7 @@ def of_protocols(routes, seeds):
 
 @pytest.fixture(scope="module")
 def found():
-    arguments = inputs(0, TUNING, HELD_OUT, [("rate", 1.0, 1.7), ("random_walk", 2.0, 0.4)])
+    arguments = inputs(0, TUNING, HELD_OUT, [("rate", 1.0, 1.7), ("random_walk", 2.0, 0.6)])
     return arguments, jax.device_get(study(*arguments))
 
 
@@ -71,7 +71,7 @@ def at(arguments, setting):
     settings, env, tried = arguments[:3]
     drift = jax.tree.map(lambda leaf: leaf[setting], settings.drift)
     env = env._replace(drift=drift, mean_kb_per_s=settings.mean_kb_per_s[setting])
-    handled = {name: jnp.full(COUNT, getattr(settings, name)[setting]) for name in ("replaces", "gate_sigma")}
+    handled = {name: jnp.full(COUNT, getattr(settings, name)[setting]) for name in ("correction", "gate_sigma")}
     return env, tried._replace(**handled), float(settings.budget_kb[setting])
 
 

@@ -1,11 +1,15 @@
 """A scene made of a few synthetic frames."""
 
+import jax
 import numpy as np
 import pytest
 
 from ovibjax.control.actions import ACTIONS, actions_for
+from ovibjax.control.drives import join_drives
 from ovibjax.control.environment import rates_from_paper
-from ovibjax.control.scene import make_scene
+from ovibjax.control.scene import Reading, cut_scene, make_scene
+from ovibjax.encoder.checkpoint import train_checkpoint
+from ovibjax.errors import InputError
 from tests.control.cases import TINY, drive
 
 
@@ -38,3 +42,35 @@ def test_scene_of_synthetic_frames(made):
         np.testing.assert_allclose(scene.predictor_m[c], np.median(length[here], axis=0), rtol=1e-6)
     np.testing.assert_allclose(scene.context_share, np.bincount(route.context, minlength=4) / 120)
     assert rates_from_paper(scene.context_share).shape == (4,)
+
+
+def test_the_risk_that_comes_with_an_answer_is_calibrated_on_training_routes():
+    sets = [drive(seed) for seed in (1, 2, 3)]
+    frames = join_drives(sets, 2)
+    trained = train_checkpoint(jax.random.key(0), frames.first_frames, TINY)
+    scene, coded, ours = (
+        cut_scene(frames, trained, r) for r in (Reading(), Reading(recode=True), Reading(prior="calibrated"))
+    )
+    length, risk = (
+        np.concatenate([part(route) for route in scene.training])
+        for part in (lambda route: np.linalg.norm(route.residual_m, axis=-1), lambda route: route.risk_m)
+    )
+    for a in range(length.shape[1]):
+        assert np.mean(risk[:, a] ** 2) == pytest.approx(np.mean(length[:, a] ** 2), rel=0.05)
+        for claimed in np.unique(risk[:, a]):  # and at every risk that is ever claimed
+            told = risk[:, a] == claimed
+            assert np.mean(length[told, a] ** 2) == pytest.approx(claimed**2, rel=0.05)
+    assert len(np.unique(risk[:, 0])) > 3
+    # Held-out routes are claimed nothing else than what training routes showed.
+    for a in range(length.shape[1]):
+        assert np.isin(scene.held_out[0].risk_m[:, a], risk[:, a]).all()
+    assert not np.array_equal(coded.held_out[0].residual_m, scene.held_out[0].residual_m)
+    np.testing.assert_array_equal(ours.training[0].risk_m, scene.training[0].risk_m)
+    context = np.concatenate([route.context for route in scene.training])
+    for c in range(3):
+        np.testing.assert_allclose(ours.predictor_m[c], risk[context == c].mean(axis=0), rtol=1e-5)
+
+
+def test_too_few_training_frames_are_refused():
+    with pytest.raises(InputError, match="10 frames on training routes"):
+        join_drives([drive(1, n=10), drive(2)], 1)

@@ -1,4 +1,4 @@
-"""Leave-one-out retrieval against a loop over the other rows."""
+"""Leave-one-out retrieval and its margin against a loop over the other rows."""
 
 import jax
 import numpy as np
@@ -7,7 +7,23 @@ import pytest
 from ovibjax.edge import retrieval as module
 from tests.oracles import control as oracle
 
-leave_one_out = jax.jit(module.leave_one_out)
+_jitted = jax.jit(module.leave_one_out)
+
+
+def places(n):
+    """References along a line, a metre apart."""
+    return np.stack([np.arange(n), np.zeros(n)], axis=1).astype(np.float32)
+
+
+def leave_one_out(query, reference, own, elsewhere_m=2.5):
+    """Rows of the jitted function, whose margins are the oracle's."""
+    found = _jitted(query, reference, own, places(len(reference)), elsewhere_m)
+    np.testing.assert_allclose(found.margin, most_similar_other(query, reference, own, elsewhere_m)[1], atol=2e-6)
+    return np.asarray(found.row)
+
+
+def most_similar_other(query, reference, own, elsewhere_m=2.5):
+    return oracle.most_similar_other(query, reference, own, places(len(reference)), elsewhere_m)
 
 
 def rows(n, d, seed):
@@ -21,7 +37,7 @@ def test_equals_the_oracle(n):
     query, own = np.concatenate([reference, rows(25, 6, 2)]), np.r_[np.arange(n), np.full(25, -1)].astype(np.int32)
     found = np.asarray(leave_one_out(query, reference, own))
     assert found.dtype == np.int32
-    np.testing.assert_array_equal(found, oracle.most_similar_other(query, reference, own))
+    np.testing.assert_array_equal(found, most_similar_other(query, reference, own)[0])
     assert np.all(found[:n] != np.arange(n))
     np.testing.assert_array_equal(leave_one_out(reference, reference, np.full(n, -1, np.int32)), np.arange(n))
 
@@ -32,7 +48,7 @@ def test_equal_similarities_go_to_the_lower_row_that_is_not_the_query():
     own = np.arange(6, dtype=np.int32)
     found = np.asarray(leave_one_out(reference, reference, own))
     np.testing.assert_array_equal(found, [2, 0, 0, 0, 0, 0])
-    np.testing.assert_array_equal(found, oracle.most_similar_other(reference, reference, own))
+    np.testing.assert_array_equal(found, most_similar_other(reference, reference, own)[0])
     np.testing.assert_array_equal(leave_one_out(reference, reference, np.full(6, -1, np.int32)), [0, 1, 0, 3, 0, 5])
 
 
@@ -41,14 +57,22 @@ def test_a_null_descriptor_and_a_null_reference():
     query = np.array([[0, 0], [-1, 0], [0, 2]], np.float32)
     own = np.array([0, -1, 2], np.int32)
     found = np.asarray(leave_one_out(query, reference, own))
-    np.testing.assert_array_equal(found, oracle.most_similar_other(query, reference, own))
+    np.testing.assert_array_equal(found, most_similar_other(query, reference, own)[0])
 
 
 def test_blocks_do_not_show():
     reference = rows(31, 5, 3)
     query = rows(2 * module._OWN_BLOCK + 3, 5, 4)
     own = np.random.default_rng(5).integers(-1, 31, len(query)).astype(np.int32)
-    whole = np.asarray(leave_one_out(query, reference, own))
+    whole = np.asarray(_jitted(query, reference, own, places(31), 2.5).row)
     some = [0, module._OWN_BLOCK - 1, module._OWN_BLOCK, len(query) - 1]
-    np.testing.assert_array_equal(whole[some], oracle.most_similar_other(query[some], reference, own[some]))
+    np.testing.assert_array_equal(whole[some], most_similar_other(query[some], reference, own[some])[0])
     assert np.all(whole != own)
+
+
+def test_the_margin_is_over_another_place_and_over_the_least_similarity_where_there_is_none():
+    reference = np.array([[1, 0], [0.8, 0.6], [0, 1]], np.float32)
+    query, own = np.array([[2, 0]], np.float32), np.array([-1], np.int32)
+    for elsewhere_m, margin in ((0.5, 0.2), (1.5, 1.0), (9.0, 2.0)):
+        found = _jitted(query, reference, own, places(3), elsewhere_m)
+        assert found.row == 0 and found.margin[0] == pytest.approx(margin, abs=1e-6)

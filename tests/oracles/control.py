@@ -37,17 +37,14 @@ def drifted(belief, t, draws, drift):
     return error, cov + growth * draws["walk_cov"][t], after, toward
 
 
-def noise_of(predicted):
-    """Covariance of an isotropic Gaussian with a given median distance: 1 - exp(-g^2 / 2 n) = 1/2.
-
-    A residual of zero counts as a measurement within a millimetre.
-    """
-    return (predicted**2 / (2 * math.log(2)) + 1e-6) * np.eye(2)
+def noise_of(risk):
+    """Isotropic covariance whose trace is the square of a risk; a risk of zero counts as a millimetre."""
+    return (risk**2 / 2 + 1e-6) * np.eye(2)
 
 
-def kalman(error, cov, residual, predicted, gate):
+def kalman(error, cov, residual, risk, gate):
     """Textbook update with a position measurement; errors are estimate minus truth."""
-    noise = noise_of(predicted)
+    noise = noise_of(risk)
     innovation = residual - error
     total = cov + noise
     if innovation @ np.linalg.solve(total, innovation) > gate**2:
@@ -56,13 +53,15 @@ def kalman(error, cov, residual, predicted, gate):
     return error + gain @ innovation, (np.eye(2) - gain) @ cov, True
 
 
-def correct(belief, residual, predicted, toward, control):
-    """A belief after a position from the edge, and whether it passed the gate."""
-    error, cov, accepted = kalman(belief[0], belief[1], residual, predicted, control["gate"])
+def correct(belief, residual, risk, toward, control):
+    """A belief after a position from the edge of some risk, and whether it was used."""
+    error, cov, accepted = kalman(belief[0], belief[1], residual, risk, control["gate"])
+    if control["correction"] == "better" and risk >= math.sqrt(np.trace(belief[1])):
+        accepted = False
     if not accepted:
         return belief, False
-    if control["replaces"]:
-        error, cov = residual, noise_of(predicted)
+    if control["correction"] != "kalman":
+        error, cov = residual, noise_of(risk)
     return (error, cov, 0.0, toward), True
 
 
@@ -165,7 +164,8 @@ def follow(policy, draws, route, env, control, actions, due):
             latency = draws["latency"][t][action] + (8 * size / rate if rate > 0 else math.inf)
             lost = latency > env["timeout_s"]
             predicted, measured = route["predicted"][t][action], route["residual"][t][action]
-            corrected, accepted = correct(belief, measured, predicted, draws["toward"][t], control)
+            fix_risk = route["risk"][t][action]
+            corrected, accepted = correct(belief, measured, fix_risk, draws["toward"][t], control)
             flight = math.floor(min(latency, env["timeout_s"]) / env["slot_s"])
             out["superseded"].append(coming is not None)
             coming, arrives, last = belief if lost else corrected, t + flight, t
@@ -193,17 +193,23 @@ def replay(policy, draws, route, env, control, actions):
     return follow(policy, draws, route, env, control, actions, due)
 
 
-def most_similar_other(query, reference, own):
-    """Row of the most similar reference of each query, skipping row `own`; the first of equals."""
-    found = []
+def most_similar_other(query, reference, own, places, elsewhere):
+    """Row of the most similar reference of each query, skipping row `own`, the first of equals; and its margin.
+
+    The margin is over the most similar reference further than `elsewhere` from that row, or over -1 if there is none.
+    """
+    found, margins = [], []
     for q, skip in zip(np.asarray(query, np.float64), own, strict=True):
         scores = {}
         for row, r in enumerate(np.asarray(reference, np.float64)):
             if row != skip:
-                length = np.linalg.norm(r)
+                length = np.linalg.norm(r) * np.linalg.norm(q)
                 scores[row] = q @ r / length if length > 0 else 0.0
-        found.append(max(scores, key=lambda row: (scores[row], -row)))
-    return np.array(found)
+        best = max(scores, key=lambda row: (scores[row], -row))
+        far = [scores[row] for row in scores if math.dist(places[row], places[best]) > elsewhere]
+        found.append(best)
+        margins.append(scores[best] - max([-1.0, *far]))
+    return np.array(found), np.array(margins)
 
 
 def survey(positions, yaw, drive, spacing, turn_deg):

@@ -31,7 +31,7 @@ def make_routes(n: int) -> Route:
     predicted = np.full((n, SLOTS, len(ACTIONS)), 2.0, np.float32)
     residual = rng.normal(0, 1.4, (n, SLOTS, len(ACTIONS), 2)).astype(np.float32)
     yaw = np.zeros((n, SLOTS), np.float32)
-    return Route(*(jnp.asarray(x) for x in (context, yaw, predicted, residual)))
+    return Route(*(jnp.asarray(x) for x in (context, yaw, predicted, residual, predicted)))
 
 
 @partial(jax.jit, static_argnames=("n", "scheduler"))

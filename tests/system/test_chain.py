@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from ovibjax.control.actions import ActionSet, SweptActions
+from ovibjax.control.calibration import calibrated_risk_m, fit_calibration
 from ovibjax.control.predictor import fit_predictor
-from ovibjax.control.residuals import encode_views, residuals_m
+from ovibjax.control.residuals import answers, encode_views
 from ovibjax.edge.service import EDGE
 from ovibjax.encoder.checkpoint import Checkpoint
 from ovibjax.features.basis import ViewBasis
@@ -117,11 +118,15 @@ def test_residuals_and_g_psi_are_those_of_the_control_study(made, staged):
     checkpoint = Checkpoint(params, identity, static.train.arch)
     actions = ActionSet(static.modes, (KS[1],))
     x, positions_m = np.asarray(data.x), np.asarray(data.positions_m)
-    realised = residuals_m(checkpoint, x, positions_m, np.asarray(data.references), actions)
-    np.testing.assert_allclose(routes.residual_m, realised[np.asarray(data.routes)], atol=1e-4)
-    known, context = np.asarray(data.known), np.asarray(data.context)
-    seen, rows = (np.linalg.norm(realised[known], axis=-1), context[known], 3), context[np.asarray(data.routes)]
-    np.testing.assert_allclose(routes.predicted_m, fit_predictor(*seen)[rows], atol=1e-4)
+    found = answers(checkpoint, x, positions_m, np.asarray(data.survey.rows), actions)
+    rows, known, context = (np.asarray(part) for part in (data.routes, data.known, data.context))
+    np.testing.assert_allclose(routes.residual_m, found.residual_m[rows], atol=1e-4)
+    length = np.linalg.norm(found.residual_m, axis=-1)
+    np.testing.assert_allclose(
+        routes.predicted_m, fit_predictor(length[known], context[known], 3)[context[rows]], atol=1e-4
+    )
+    risk = calibrated_risk_m(fit_calibration(found.margin, length**2, known), found.margin)
+    np.testing.assert_allclose(routes.risk_m, np.asarray(risk)[rows], rtol=1e-3)
 
 
 @pytest.mark.long
