@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.cards.control_results import reductions
-from ovibjax.cards.control_study import FACTORS, GATED, PAPER, ControlStudy, Point
+from ovibjax.cards.control_study import FACTORS, FUSED, PAPER, ControlStudy, Point
 from ovibjax.control.controller import PAPER_BUDGET_KB
 from ovibjax.report import figures as fig
 from ovibjax.report import panels
@@ -60,7 +60,7 @@ def by_mean_error(found: ControlStudy, point: Point = PAPER) -> list[str]:
 
 
 def draw_error(ax: Axes, found: ControlStudy, metric: str, paper_m: Mapping[str, float]) -> None:
-    """Bars of one error metric by policy, with 95 % intervals and the paper's values; beside them what a gate leaves.
+    """Bars of one error metric by policy, with 95 % intervals and the paper's values; diamonds: corrections fused.
 
     Args:
         ax: the panel.
@@ -68,16 +68,16 @@ def draw_error(ax: Axes, found: ControlStudy, metric: str, paper_m: Mapping[str,
         metric: `mean_m` or `p95_m`.
         paper_m: the paper's values, metres.
     """
-    policies = by_mean_error(found, GATED)
+    policies = by_mean_error(found, FUSED)
     rows = []
     for policy in policies:
         span = interval(found.of(policy, metric))
         rows.append(panels.Bar(f"{NAMES[policy]}  {span.mean:.1f}", span, COLOURS[policy], paper_m.get(policy)))
     panels.bars(ax, rows)
-    gated = [interval(found.of(policy, metric, GATED)) for policy in policies]
-    mean, cap = [span.mean for span in gated], [span.cap for span in gated]
+    fused = [interval(found.of(policy, metric, FUSED)) for policy in policies]
+    mean, cap = [span.mean for span in fused], [span.cap for span in fused]
     look: dict[str, Any] = {"fmt": "D", "ms": 3.5, "mfc": "white", "mec": "black", "ecolor": "black", "lw": 0.8}
-    ax.errorbar(mean, range(len(policies)), xerr=cap, label="with a gate (ours)", zorder=5, **look)
+    ax.errorbar(mean, range(len(policies)), xerr=cap, label="corrections fused (ours)", zorder=5, **look)
     # A bar may go on beyond the panel; its value stands beside its name.
     ax.set(xlabel="route error (m)", xlim=(0, 1.6 * max(*mean, *paper_m.values())))
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
@@ -101,31 +101,39 @@ def draw_mean_and_p95(ax: Axes, found: ControlStudy, point: Point) -> None:
     ax.legend(ax.get_legend_handles_labels()[0], ["paper (mean, p95)"], loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
-def draw_reductions(ax: Axes, found: ControlStudy, metric: str, paper_percent: float) -> None:
-    """Reductions of an error against budgeted periodic by drift model, as rates or budget are scaled; with a gate.
+def draw_ratios(ax: Axes, found: ControlStudy, metric: str, paper_percent: float, gate_sigma: float) -> None:
+    """An error relative to budgeted periodic's by drift model, as rates or budget are scaled.
 
     Args:
         ax: the panel.
         found: the study.
         metric: `mean_m` or `p95_m`.
         paper_percent: the paper's reduction, on its own route.
+        gate_sigma: gate on corrections, infinite for none.
     """
+    base = PAPER._replace(gate_sigma=gate_sigma)
     for shift, (model, colour) in enumerate(MODEL_COLOURS.items()):
         for style, scaled in (("-", "drift"), (":", "budget")):
             points = [
-                GATED._replace(model=model, drift_scale=factor)
+                base._replace(model=model, drift_scale=factor)
                 if scaled == "drift"
-                else GATED._replace(model=model, budget_kb=factor * PAPER_BUDGET_KB)
+                else base._replace(model=model, budget_kb=factor * PAPER_BUDGET_KB)
                 for factor in FACTORS
             ]
             spans = [reductions(found, metric, "budgeted_periodic", p)[1] for p in points if p in found.points]
             x = np.array([f for f, p in zip(FACTORS, points, strict=True) if p in found.points])
-            mean, cap = [span.mean for span in spans], [span.cap for span in spans]
+            mean = np.array([1.0 - span.mean / 100.0 for span in spans])
+            cap = np.array([span.cap / 100.0 for span in spans])
+            # On a logarithmic axis an interval that reaches zero would swallow the panel.
+            cap = np.stack([np.minimum(cap, 0.7 * mean), cap])
             look: dict[str, Any] = {"color": colour, "ls": style, "marker": "o", "ms": 2.5, "capsize": 1.5, "lw": 1.1}
             ax.errorbar(x * 1.03 ** (shift - 1), mean, yerr=cap, label=f"{MODEL_NAMES[model]}, {scaled}", **look)
-    ax.axhline(0.0, color="black", lw=0.6)
-    ax.axhline(paper_percent, color="black", lw=1.0, ls="--")
-    ax.annotate("paper", (FACTORS[0], paper_percent), (-2, 2), textcoords="offset points")
+    ratio = 1.0 - paper_percent / 100.0
+    ax.axhline(1.0, color="black", lw=0.6)
+    ax.axhline(ratio, color="black", lw=1.0, ls="--")
+    ax.annotate("paper", (FACTORS[0], ratio), (-2, 2), textcoords="offset points")
+    ax.set_yscale("log")
+    fig.plain_log_ticks(ax.yaxis)
     ax.set_xscale("log", base=2)
     ax.set_xticks(FACTORS, [f"{factor:g}x" for factor in FACTORS])
-    ax.set(xlabel="drift rates, or budget", ylabel="reduction (%)", ylim=(-110, 90))
+    ax.set(xlabel="drift rates, or budget", ylabel="VOI-Control / periodic")

@@ -1,7 +1,7 @@
 """The request-control study that the paper's figures share: sizes by preset, computed once per process."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -13,13 +13,14 @@ import numpy as np
 from ovibjax.control.belief import CORRECTIONS
 from ovibjax.control.controller import GATE_SIGMA, PAPER_BUDGET_KB, Controller
 from ovibjax.control.drift import DRIFT_MODELS
-from ovibjax.control.drives import DRIVES, embedded_drives, halves
+from ovibjax.control.drives import DRIVES, embedded_drives, halves, join_drives
 from ovibjax.control.environment import PAPER_SLOTS, Environment, Route, make_environment
 from ovibjax.control.policy_study import Outcome, Setting, StudySize
-from ovibjax.control.protocols import PROTOCOLS, paper_route, run_study
+from ovibjax.control.predictor import PRIORS
+from ovibjax.control.protocols import paper_route, place_of, run_study
 from ovibjax.control.route_replay import RouteResult
-from ovibjax.control.scene import Scene, make_scene
-from ovibjax.encoder.checkpoint import CheckpointConfig
+from ovibjax.control.scene import Reading, Scene, cut_scene
+from ovibjax.encoder.checkpoint import CheckpointConfig, train_checkpoint
 from ovibjax.features.frames import FeatureSet, content_hash
 
 PAPER_PROFILE_KB_PER_S = 8.0
@@ -39,6 +40,8 @@ class Point(NamedTuple):
         protocol: one of `protocols.PROTOCOLS`.
         correction: one of `belief.CORRECTIONS`.
         gate_sigma: innovation above which a correction is discarded.
+        recode: whether references have passed through the code of the request.
+        prior: what an action is expected to leave, one of `predictor.PRIORS`.
     """
 
     model: str = "rate"
@@ -47,17 +50,32 @@ class Point(NamedTuple):
     protocol: str = "paper"
     correction: str = "replace"
     gate_sigma: float = math.inf
+    recode: bool = False
+    prior: str = PRIORS[0]
+
+    @property
+    def reading(self) -> Reading:
+        """How the scene is read."""
+        return Reading(self.recode, self.prior)
 
 
 PAPER, GATED = Point(), Point(gate_sigma=GATE_SIGMA)
 """The paper's setting; the same, but corrections that look impossible to the client are discarded."""
 
-ALWAYS = (
-    *(PAPER, GATED),
-    *(point._replace(protocol="transfer") for point in (PAPER, GATED)),
-    *(point._replace(correction="kalman") for point in (PAPER, GATED)),
-)
-"""Routes that prices were tuned on and others; what a client may do with a correction."""
+BETTER, FUSED = Point(correction="better"), Point(correction="kalman")
+"""Corrections that are used only where they are the better ones, and such that are fused with the estimate."""
+
+CODED = tuple(point._replace(recode=True) for point in (PAPER, BETTER, FUSED, GATED))
+"""The same four with references that have passed through the code of the request."""
+
+EXPECTED = tuple(point._replace(prior=PRIORS[1]) for point in (PAPER, FUSED))
+"""Two of them with the mean calibrated risk as what an action is expected to leave."""
+
+TRANSFER = tuple(point._replace(protocol="transfer") for point in (PAPER, FUSED, GATED))
+"""Routes that prices were not tuned on."""
+
+ALWAYS = (PAPER, GATED, BETTER, FUSED, *TRANSFER, *CODED, *EXPECTED)
+"""What is replayed at every preset: what a client may do with a correction, and how the paper may be read."""
 
 SENSITIVITY = tuple(
     dict.fromkeys(
@@ -124,6 +142,19 @@ class ControlStudy:
     runs: dict[str, RouteResult]
     seeds: list[int]
 
+    def free_kb(self, point: Point = PAPER) -> np.ndarray:
+        """[seeds] what VOI-Control would send if the cap on the payload were not there, KB."""
+        return np.asarray(self.outcome.free_kb)[self.points.index(point)].astype(np.float64)
+
+    def histories(self, policy: str, point: Point) -> RouteResult:
+        """Replays [seeds, T] of a policy in `policy_study.SHOWN` at a setting."""
+        return jax.tree.map(lambda leaf: leaf[self.points.index(point)], self.outcome.histories[policy])
+
+    def by_route(self, policy: str, metric: str, point: Point) -> np.ndarray:
+        """[routes] mean of a held-out metric over the seeds of each held-out route, where `point` is of `TRANSFER`."""
+        routes = len(self.scene.held_out)
+        return np.array([self.of(policy, metric, point)[route::routes].mean() for route in range(routes)])
+
     def of(self, policy: str, metric: str, point: Point = PAPER) -> np.ndarray:
         """[seeds] a held-out metric of a policy."""
         values = np.asarray(getattr(self.outcome.held_out[policy], metric))
@@ -175,24 +206,35 @@ def control_study(
     if key not in _made:
         _made.clear()
         with stage("train"):
-            scene = make_scene(drives, training, PRESETS[preset].checkpoint)
+            frames = join_drives(drives, training)
+            trained = train_checkpoint(jax.random.key(0), frames.first_frames, PRESETS[preset].checkpoint)
         with stage("replay"):
-            _made[key] = _make(PRESETS[preset], first_seed, scene)
+            points = points_of(PRESETS[preset])
+            readings = list(dict.fromkeys(point.reading for point in points))
+            scenes = {reading: cut_scene(frames, trained, reading) for reading in readings}
+            _made[key] = _make(PRESETS[preset], first_seed, points, scenes)
     return _made[key]
 
 
-def _make(preset: ControlPreset, first_seed: int, scene: Scene) -> ControlStudy:
-    points = tuple(dict.fromkeys((*ALWAYS, *(SENSITIVITY if preset.sensitivity else ()))))
+def points_of(preset: ControlPreset) -> tuple[Point, ...]:
+    """Settings that a preset replays, the paper's first."""
+    return tuple(dict.fromkeys((*ALWAYS, *(SENSITIVITY if preset.sensitivity else ()))))
+
+
+def _make(
+    preset: ControlPreset, first_seed: int, points: tuple[Point, ...], scenes: Mapping[Reading, Scene]
+) -> ControlStudy:
+    scene, readings = scenes[PAPER.reading], list(scenes)
     envs = [make_environment(scene.context_share, PAPER_PROFILE_KB_PER_S, p.drift_scale, p.model) for p in points]
     settings = Setting(
         drift=jax.tree.map(lambda *leaves: jnp.stack(leaves), *(env.drift for env in envs)),
         budget_kb=jnp.array([p.budget_kb for p in points], jnp.float32),
         mean_kb_per_s=jnp.stack([env.mean_kb_per_s for env in envs]),
-        protocol=jnp.array([PROTOCOLS.index(p.protocol) for p in points], jnp.int32),
+        place=jnp.array([place_of(readings.index(p.reading), p.protocol) for p in points], jnp.int32),
         correction=jnp.array([CORRECTIONS.index(p.correction) for p in points], jnp.int32),
         gate_sigma=jnp.array([p.gate_sigma for p in points], jnp.float32),
     )
-    outcome = jax.device_get(run_study(scene, settings, preset.size, first_seed))
+    outcome = jax.device_get(run_study(list(scenes.values()), settings, preset.size, first_seed))
     seeds = [first_seed + i for i in range(preset.size.held_out_seeds)]
     control = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), outcome.control)
     runs = jax.tree.map(lambda leaf: leaf[0], outcome.histories)

@@ -50,7 +50,7 @@ class Setting(NamedTuple):
         drift: how the odometry drifts.
         budget_kb: payload per route, KB.
         mean_kb_per_s: link profile, KB/s.
-        protocol: int32, which routes and seeds.
+        place: int32, which routes and seeds.
         correction: int32, what corrections do, which of `belief.CORRECTIONS`.
         gate_sigma: innovation above which they are discarded.
     """
@@ -58,7 +58,7 @@ class Setting(NamedTuple):
     drift: Drift
     budget_kb: jax.Array
     mean_kb_per_s: jax.Array
-    protocol: jax.Array
+    place: jax.Array
     correction: jax.Array
     gate_sigma: jax.Array
 
@@ -116,8 +116,8 @@ def study(
         env: the environment; its drift and link are the setting's.
         tried: [C] candidate controllers.
         rules: numbers of the fixed rules, the paper's.
-        tuning: what prices are tuned on by protocol, a row of seeds for each route.
-        held_out: what policies are judged on by protocol, a route for each seed.
+        tuning: what prices are tuned on by place, a row of seeds for each route.
+        held_out: what policies are judged on by place, a route for each seed.
         actions: the action set (static).
 
     Returns:
@@ -132,7 +132,7 @@ def study(
         )
         budget = jnp.full_like(tried.budget_bytes, 1024.0) * setting.budget_kb
 
-        tuned_on, judged_on = jax.tree.map(lambda leaf: leaf[setting.protocol], (tuning, held_out))
+        tuned_on, judged_on = jax.tree.map(lambda leaf: leaf[setting.place], (tuning, held_out))
 
         def of_route(route: Route, keys: jax.Array) -> Draws:
             return jax.vmap(lambda key: draw(key, route, world, actions))(keys)

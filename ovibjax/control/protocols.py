@@ -17,19 +17,24 @@ from ovibjax.control.policy_study import Outcome, RoutesAndSeeds, Setting, Study
 from ovibjax.control.scene import Scene
 
 PROTOCOLS = ("paper", "transfer")
-"""Protocols by number, as in `policy_study.Setting`."""
+"""Protocols by name; see `place_of`."""
 
 PAPER_CONTEXT_MIX = (0.63, 0.20, 0.17)
 """Corridor, intersection, repetitive. The paper does not state its route's mix; at this one its upload shares of 0.5,
 5.7 and 14.0 % come to its 22 requests in 593 slots (22.7)."""
 
 
-def run_study(scene: Scene, settings: Setting, size: StudySize, first_seed: int) -> Outcome:
+def place_of(reading: int, protocol: str) -> int:
+    """`policy_study.Setting.place` of a scene's number among those given to `run_study`, and a protocol."""
+    return reading * len(PROTOCOLS) + PROTOCOLS.index(protocol)
+
+
+def run_study(scenes: Sequence[Scene], settings: Setting, size: StudySize, first_seed: int) -> Outcome:
     """`study` on a scene with the project's seeds: tuning seeds 0, 1, ..., held-out seeds from `first_seed` on.
 
     Args:
-        scene: routes and residuals.
-        settings: [settings] drift, budget, link and protocol.
+        scenes: one scene in several readings, see `scene.Reading`.
+        settings: [settings] drift, budget, link and place.
         size: candidates and seeds.
         first_seed: first held-out seed.
 
@@ -37,12 +42,13 @@ def run_study(scene: Scene, settings: Setting, size: StudySize, first_seed: int)
         The outcome.
     """
     held = [first_seed + i for i in range(size.held_out_seeds)]
-    routes = [routes_of(scene, protocol) for protocol in PROTOCOLS]
+    scene = scenes[0]
+    routes = [routes_of(read, protocol) for read in scenes for protocol in PROTOCOLS]
     count = len(scene.training)
     # A seed of its own for each route and repetition, so that one route repeated is more seeds of it.
     seeds = jnp.arange(count * size.tuning_seeds).reshape(count, size.tuning_seeds)
     # Protocols stand side by side in one program, so that their routes are equally long.
-    tuned_on, judged_on = (shortest([*paper, *transfer]) for paper, transfer in zip(*routes, strict=True))
+    tuned_on, judged_on = (shortest([one for part in parts for one in part]) for parts in zip(*routes, strict=True))
     keys = jax.vmap(seeds_to_keys)(seeds)
     tuning = [RoutesAndSeeds(stack_routes(tuned, tuned_on), keys) for tuned, _ in routes]
     judged = [RoutesAndSeeds(in_turn(held_out, len(held), judged_on), seeds_to_keys(held)) for _, held_out in routes]

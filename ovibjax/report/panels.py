@@ -54,6 +54,8 @@ def draw_panels(path: Path, found: Any, titled: Mapping[str, Panel], columns: in
         for ax, letter, (text, draw) in zip(axes, ascii_lowercase, titled.items(), strict=False):
             draw(ax, found)
             title(ax, letter, text)
+        for ax in axes[len(titled) :]:
+            ax.set_axis_off()
 
 
 @dataclass(frozen=True)

@@ -211,7 +211,7 @@ def test_a_training_route_longer_than_the_held_out_one_is_cut(monkeypatch):
     seen = []
     monkeypatch.setattr(protocols, "study", lambda *arguments: seen.append(arguments))
     scene = Scene([make_route(0, 30)], [make_route(1, 20)], np.ones((3, 8)), np.ones(3) / 3, CONTEXTS, ACTIONS)
-    protocols.run_study(scene, None, StudySize(candidates=2, tuning_seeds=2, held_out_seeds=3), 100)
+    protocols.run_study([scene], None, StudySize(candidates=2, tuning_seeds=2, held_out_seeds=3), 100)
     ((*_, tuning, judged, _),) = seen
     assert tuning.routes.context.shape == (2, 1, 20) and tuning.keys.shape == (2, 1, 2)
     assert judged.routes.context.shape == (2, 3, 20) and judged.keys.shape == (2, 3)
