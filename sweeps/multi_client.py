@@ -30,6 +30,9 @@ from ovibjax.scheduling.ties import TIES
 
 TITLE = "Whom to serve: schedulers under congestion"
 
+LEAST_CUT = 60.0
+"""What of the paper's cut of 76.2 % is asked for here, per cent."""
+
 
 @dataclass(frozen=True)
 class Preset:
@@ -97,6 +100,14 @@ def judge_claims(found: Congestion) -> list[Claim]:
             percent,
             rule=PAIRED,
         ),
+        Claim.at_least(
+            f"It cuts it by at least {LEAST_CUT:g} %",
+            "76.2 %",
+            interval(percent).text("%", 1),
+            LEAST_CUT,
+            percent,
+            rule=f"whole paired 95 % interval at or above {LEAST_CUT:g} %, ties to the lowest client (threshold ours)",
+        ).as_own(),
         Claim.above_zero(
             "The same where every mission is equally urgent: what the value of information does alone",
             "-",
@@ -106,7 +117,21 @@ def judge_claims(found: Congestion) -> list[Claim]:
         ).as_own(),
         *(_faster(found, fast, slow) for fast in ("fifo", "edf") for slow in ("base_dpp", "maxweight")),
         _differ(found),
+        _own_times(found).as_own(),
     ]
+
+
+def _own_times(found: Congestion) -> Claim:
+    texts = [
+        f"{NAMES[rule]} {interval(found.at(rule, 'top10', 'edge_p95_ms', of=found.own_times)).text('ms', 1)}"
+        for rule in ("voi_lyapunov", "base_dpp", "fifo")
+    ]
+    return Claim.reported(
+        "Edge p95 of the top decile at high congestion where every client asks at the times of its own replay",
+        "-",
+        ", ".join(texts),
+        "the paper replays the events of one route with perturbed phases, which come in bursts",
+    )
 
 
 def _differ(found: Congestion) -> Claim:
@@ -148,11 +173,12 @@ def _faster(found: Congestion, fast: str, slow: str) -> Claim:
 def caption(found: Congestion, seeds: list[int]) -> str:
     """What the reader of the figure needs to know."""
     return (
-        f"Clients ask {found.requests} times, when VOI-Control does on the held-out route, each with the requests of a "
-        f"replay of its own; {len(seeds)} seeds perturb the phase of every request (within {PHASE_SPREAD_S:g} s, set "
-        "once so that FIFO's edge p95 of all requests at high congestion lies near the paper's 93 ms), urgency, "
-        "deadlines and service jitter. (a), (b) High congestion (N = 30, 4 KB/s), "
-        "95 % intervals; black ticks: the paper's values. (c) Edge p95 of the top decile by congestion. (d) Reduction "
+        f"Clients ask {found.requests} times, when VOI-Control does on the paper's held-out route, each with requests "
+        f"of a replay of its own, on the held-out routes in turn; {len(seeds)} seeds perturb the phase of a request "
+        f"(within {PHASE_SPREAD_S:g} s, set once so that FIFO's edge p95 of all requests at high congestion came to "
+        "the paper's 93 ms on tuning seeds), urgency, deadlines and service jitter. (a), (b) High congestion (N = 30, "
+        "4 KB/s), 95 % intervals; black ticks: the paper's values. (c) Edge p95 of the top decile by congestion. (d) "
+        "Reduction "
         "of that p95 by VOI-Lyapunov against Base-DPP as phase spread and number of clients vary. (e), (f) High "
         "congestion by who goes first of requests with equal priority, which the paper does not say; in the other "
         "panels the lowest client does."

@@ -101,16 +101,17 @@ def caption(found: ControlStudy) -> str:
     return (
         f"(a), (b) Mean and 95th percentile of the route error over {len(found.seeds)} held-out seeds, 95 % intervals; "
         "black ticks: the paper's values on its own route; diamonds: the same where corrections do not replace the "
-        "estimate but are fused with it by their calibrated risk (Kalman), which the paper does not say. Bars may go on "
-        "beyond the panel; their value stands beside the name. Oracle action is a bound, no causal policy. (c) Error "
-        f"along the held-out route, seed {found.seeds[representative(found)]}, the median one: VOI-Control and "
-        "budgeted periodic on the same drift and channel; where the error jumps, the edge took a look-alike for the "
-        "place. (d) The same seed: local risk, and VOI-Control's requests by view mode; background: route context. (e) "
-        "Held-out routes: root mean square error of the answers that claim the same risk, sized by their share; on the "
-        "dashed line they keep what was fitted on training routes. (f) Mean error by what a client does with a "
-        f"correction (gate: those beyond {GATE_SIGMA:g} sigma of what it expects are discarded); open: with references that have passed through the code of the request. (g) Prices tuned on other "
-        f"routes; blue: the {len(found.scene.held_out)} held-out routes with intervals over seeds; red: geometric mean "
-        "with its interval over routes."
+        "estimate but are fused with it by their calibrated risk, which the paper does not say. Bars may go on beyond "
+        "the panel; their value stands beside the name. Oracle action is a bound, no causal policy. (c) Error along "
+        f"the held-out route, seed {found.seeds[representative(found)]}, the median one: VOI-Control and budgeted "
+        "periodic on the same drift and channel; where the error jumps, the edge took a look-alike for the place. (d) "
+        "The same seed: local risk, and VOI-Control's requests by view mode; background: route context. (e) Held-out "
+        "routes: root mean square error of the answers that claim the same risk, sized by their share; on the dashed "
+        "line they keep what was fitted on training routes. (f) Mean error by what a client does with a correction "
+        f"(gate: those beyond {GATE_SIGMA:g} sigma of what it expects are discarded); open: with references that have "
+        "passed through the code of the request. (g) Prices tuned on other routes; blue: the "
+        f"{len(found.scene.held_out)} held-out routes with intervals over seeds; red: geometric mean with its interval "
+        "over routes."
     )
 
 

@@ -36,8 +36,8 @@ def draw_cost(ax: Axes, found: Congestion) -> None:
         rows.append(panels.Bar(name, span, COLOURS[rule], PAPER_TOP["cost"].get(rule), f"{span.mean:.2f}"))
     panels.bars(ax, rows, inside=True)
     ax.set(xlabel="weighted cost, top decile")
-    ax.set_xlim(right=1.25 * ax.get_xlim()[1])
-    ax.legend(loc="upper right")
+    # Inside the panel its tick would look like one more value.
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
 def draw_edge(ax: Axes, found: Congestion) -> None:

@@ -27,23 +27,33 @@ class Congestion:
     Attributes:
         levels: [levels, seeds, ties] by rule, at the paper's V.
         equal_urgency: the same where every mission is equally urgent.
+        own_times: the same where every client asks at the times of its own replay.
         varied: [spreads x loads, seeds, 1] by rule, at 4 KB/s and `PAPER_TIES`.
         requests: requests per client.
     """
 
     levels: dict[str, ReplayMetrics]
     equal_urgency: dict[str, ReplayMetrics]
+    own_times: dict[str, ReplayMetrics]
     varied: dict[str, ReplayMetrics]
     requests: int
 
-    def at(self, rule: str, scope: str, metric: str, level: str = "high", ties: str = PAPER_TIES) -> np.ndarray:
-        """[seeds] a metric of a rule."""
-        return metric_of(self.levels[rule], scope, metric)[list(LEVELS).index(level), :, TIES.index(ties)]
+    def at(
+        self,
+        rule: str,
+        scope: str,
+        metric: str,
+        level: str = "high",
+        ties: str = PAPER_TIES,
+        of: dict[str, ReplayMetrics] | None = None,
+    ) -> np.ndarray:
+        """[seeds] a metric of a rule; of `levels` unless said."""
+        metrics = (self.levels if of is None else of)[rule]
+        return metric_of(metrics, scope, metric)[list(LEVELS).index(level), :, TIES.index(ties)]
 
     def cut_percent(self, levels: dict[str, ReplayMetrics]) -> np.ndarray:
         """[seeds] by how much VOI-Lyapunov cuts Base-DPP's edge p95 of the top decile at high congestion."""
-        at = list(LEVELS).index("high"), slice(None), TIES.index(PAPER_TIES)
-        voi, base = (metric_of(levels[rule], "top10", "edge_p95_ms")[at] for rule in ("voi_lyapunov", "base_dpp"))
+        voi, base = (self.at(rule, "top10", "edge_p95_ms", of=levels) for rule in ("voi_lyapunov", "base_dpp"))
         return 100.0 * (base - voi) / base
 
 
@@ -72,6 +82,10 @@ def replay_congestion(events: Events, seeds: list[int], sensitivity_seeds: int) 
         levels = compare(keys, events, paper_cases(*LEVELS), trace, by_ties, most)
         alike = trace._replace(urgency_low=jnp.float32(1.0), urgency_high=jnp.float32(1.0))
         equal_urgency = compare(keys, events, paper_cases(*LEVELS), alike, by_ties, most)
+        own_times = compare(
+            keys, events, paper_cases(*LEVELS), trace._replace(own_times=jnp.array(True)), by_ties, most
+        )
         varied = compare(keys[:sensitivity_seeds], events, cases, trace, params, max(LOADS), rivals)
-        levels, equal_urgency, varied = jax.device_get((levels, equal_urgency, varied))
-        return Congestion(levels, equal_urgency, varied, int(events.valid[0].sum()))
+        found = jax.device_get((levels, equal_urgency, own_times, varied))
+        levels, equal_urgency, own_times, varied = found
+        return Congestion(levels, equal_urgency, own_times, varied, int(events.valid[0].sum()))

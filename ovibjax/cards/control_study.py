@@ -62,10 +62,10 @@ class Point(NamedTuple):
 PAPER, GATED = Point(), Point(gate_sigma=GATE_SIGMA)
 """The paper's setting; the same, but corrections that look impossible to the client are discarded."""
 
-BETTER, FUSED = Point(correction="better"), Point(correction="kalman")
-"""Corrections that are used only where they are the better ones, and such that are fused with the estimate."""
+TAKEN, FUSED = Point(correction="always"), Point(correction="kalman")
+"""Corrections that are taken even where they raise the risk, and such that are fused with the estimate."""
 
-CODED = tuple(point._replace(recode=True) for point in (PAPER, BETTER, FUSED, GATED))
+CODED = tuple(point._replace(recode=True) for point in (PAPER, TAKEN, FUSED, GATED))
 """The same four with references that have passed through the code of the request."""
 
 EXPECTED = tuple(point._replace(prior=PRIORS[1]) for point in (PAPER, FUSED))
@@ -74,7 +74,7 @@ EXPECTED = tuple(point._replace(prior=PRIORS[1]) for point in (PAPER, FUSED))
 TRANSFER = tuple(point._replace(protocol="transfer") for point in (PAPER, FUSED, GATED))
 """Routes that prices were not tuned on."""
 
-ALWAYS = (PAPER, GATED, BETTER, FUSED, *TRANSFER, *CODED, *EXPECTED)
+ALWAYS = (PAPER, GATED, TAKEN, FUSED, *TRANSFER, *CODED, *EXPECTED)
 """What is replayed at every preset: what a client may do with a correction, and how the paper may be read."""
 
 SENSITIVITY = tuple(

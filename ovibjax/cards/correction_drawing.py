@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ovibjax.cards.control_drawing import COLOURS, MODE_COLOURS, NAMES
-from ovibjax.cards.control_study import BETTER, CODED, FUSED, GATED, PAPER, TRANSFER, ControlStudy, Point
+from ovibjax.cards.control_study import CODED, FUSED, GATED, PAPER, TAKEN, TRANSFER, ControlStudy, Point
 from ovibjax.control.environment import Route
 from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import Interval, interval
 
-USES = {PAPER: "replace", BETTER: "replace if better", FUSED: "fuse (Kalman)", GATED: "replace, gate"}
+USES = {PAPER: "replace", TAKEN: "replace always", FUSED: "fuse (Kalman)", GATED: "replace, gate"}
 """What a client does with a correction: settings and words."""
 
 COMPARED = ("oracle_action", "voi", "uncertainty", "budgeted_periodic")

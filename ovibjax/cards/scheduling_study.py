@@ -1,9 +1,11 @@
 """What the cards of edge scheduling share: recorded requests, the paper's congestion, values of V, metrics by scope."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.cards.control_results import representative, study
+from ovibjax.cards.control_study import PAPER
 from ovibjax.cards.job import Job
 from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case
 from ovibjax.scheduling.events import Events, recorded_runs
@@ -28,11 +30,21 @@ PAIRED = "paired 95 % interval above zero"
 
 
 def events_of(job: Job) -> Events:
-    """VOI-Control's requests on the held-out route, [seeds, E]; the representative seed's come first."""
+    """VOI-Control's requests, [replays, E].
+
+    The representative seed's on the paper's route come first: they give the times. A client's own are replays of the
+    held-out routes in turn, with seeds of their own, where there are several; otherwise of the one route.
+    """
     found = study(job)
-    rates = np.asarray(found.env.drift.rate_m_per_s)
-    first = representative(found)
-    return recorded_runs(found.runs["voi"], found.route.context, rates, found.scene.actions, first)
+    rates, actions, first = np.asarray(found.env.drift.rate_m_per_s), found.scene.actions, representative(found)
+    routes, runs, context = found.scene.held_out, found.runs["voi"], found.route.context
+    if len(routes) < 2:
+        return recorded_runs(runs, context, rates, actions, first)
+    own = found.histories("voi", PAPER._replace(protocol="transfer"))
+    both = jax.tree.map(lambda a, b: np.concatenate([a[first : first + 1], b]), runs, own)
+    slots = both.sent.shape[1]
+    each = [context, *(routes[seed % len(routes)].context for seed in range(len(own.sent)))]
+    return recorded_runs(both, np.stack([of_route[:slots] for of_route in each]), rates, actions)
 
 
 def paper_cases(*levels: str) -> Case:

@@ -61,8 +61,8 @@ class Replay:
     drift_model: str = "rate"
     """How the error grows between corrections: rate (linearly), integrated (faster), random_walk."""
     correction: str = "replace"
-    """What the edge's position does: replace (it becomes the estimate), better (it does where its risk is the lower
-    one) or kalman (it is fused with the estimate)."""
+    """What the edge's position does: replace (it becomes the estimate where the risk that comes with it is the lower
+    one), always (it becomes the estimate) or kalman (it is fused with the estimate)."""
     gate: float | None = None
     """Discard corrections that lie further off than so many standard deviations of what the client expects; 3 is
     usual, the paper has no such gate."""

@@ -12,9 +12,11 @@ import jax.numpy as jnp
 
 from ovibjax.control.drift import Drift, Odometry, added_m
 
-CORRECTIONS = ("replace", "better", "kalman")
-"""What a correction does: the edge's position becomes the estimate; it does where its risk is the lower one, as the
-positive part of the gross VOI has it (paper, eq. "gross_voi"); or it is fused with the estimate."""
+CORRECTIONS = ("replace", "always", "kalman")
+"""What a correction does: the edge's position becomes the estimate, and its risk the local one, where that is the lower
+of the two; it does so always; or it is fused with the estimate. The first is how we read the paper: "these requests
+reduce local risk" (Section "View-Rate Selection"), and the positive part of the gross VOI (eq. "gross_voi") makes
+nothing of an answer that would raise it."""
 
 
 class Belief(NamedTuple):
@@ -137,8 +139,8 @@ def correct(belief: Belief, fix: Fix, correction: jax.Array, gate_sigma: jax.Arr
     # Measurement minus estimate: the truth drops out.
     dx, dy = fix.residual_x_m - belief.error_x_m, fix.residual_y_m - belief.error_y_m
     wx, wy = (s_yy * dx - s_xy * dy) * inverse, (s_xx * dy - s_xy * dx) * inverse
-    better = fix.risk_m < local_risk_m(belief)
-    accept = (dx * wx + dy * wy <= gate_sigma**2) & (better | (correction != CORRECTIONS.index("better")))
+    lower = fix.risk_m < local_risk_m(belief)
+    accept = (dx * wx + dy * wy <= gate_sigma**2) & (lower | (correction != CORRECTIONS.index("replace")))
     # With isotropic noise R = n I the updated covariance P - P (P + R)^-1 P equals n P (P + R)^-1, which has no
     # difference of nearly equal numbers even where the noise is a million times the covariance.
     determinant = belief.cov_xx_m2 * belief.cov_yy_m2 - s_xy**2

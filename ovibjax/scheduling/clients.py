@@ -1,9 +1,12 @@
 """Many clients on one edge server, each with requests of its own (paper, Section "Multi-Client Scheduling").
 
-All clients ask at the times of one recorded route, as in the paper, so that requests come in bursts; what a request is
-worth and carries comes from the client's own replay of request control, from a stretch of its own. Each request is
-shifted by a phase of its own; mission urgency is drawn per client, deadlines and service-time jitter per request. The
-paper names these perturbations and not their sizes: the defaults of `default_trace_params` are assumptions.
+What a request is worth and carries comes from the client's own replay of request control, on its own route and from a
+stretch of its own. All clients ask at the times of one recorded replay: "replaying VOI-Control request events from the
+held-out route on a single shared edge server", with seeds "that perturb route phase" (same section); requests then
+come in bursts. At times of their own (`TraceParams.own_times`) thirty clients load the server a few per cent, and no
+rule has anything to choose. Each request is shifted by a phase of its own; mission urgency is drawn per client,
+deadlines and service-time jitter per request. The paper names these perturbations and not their sizes: the defaults of
+`default_trace_params` are assumptions.
 """
 
 from typing import NamedTuple
@@ -11,6 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ovibjax.control.environment import PAPER_SLOTS, SLOT_S
 from ovibjax.edge.service import EDGE, ServiceProfile, draw_ms, estimate_ms
 from ovibjax.link.channel import fading_power
 from ovibjax.link.profiles import profile_rate_bps
@@ -36,6 +40,7 @@ class TraceParams(NamedTuple):
         deadline_low_ms: shortest relative deadline; uniform per request.
         deadline_high_ms: longest relative deadline.
         fading_depth: 0 for a constant rate to 1 for Rayleigh block fading around it.
+        own_times: bool, whether a client asks at the times of its own replay, begun at a stretch of its own.
         service: service times at the edge.
     """
 
@@ -45,6 +50,7 @@ class TraceParams(NamedTuple):
     deadline_low_ms: jax.Array
     deadline_high_ms: jax.Array
     fading_depth: jax.Array
+    own_times: jax.Array
     service: ServiceProfile
 
 
@@ -69,6 +75,7 @@ def default_trace_params() -> TraceParams:
         deadline_low_ms=jnp.float32(DEADLINE_MS * (1.0 - DEADLINE_SPREAD)),
         deadline_high_ms=jnp.float32(DEADLINE_MS * (1.0 + DEADLINE_SPREAD)),
         fading_depth=jnp.float32(0.0),
+        own_times=jnp.asarray(False),
         service=jax.tree.map(jnp.asarray, EDGE),
     )
 
@@ -82,8 +89,8 @@ def make_trace(
 
     Args:
         key: random key.
-        events: leaves [S, E], requests of recorded replays; the first gives the times, a client's own the rest. Where
-            there are fewer replays than clients, some share one.
+        events: leaves [S, E], requests of recorded replays; the first gives the times unless clients have their own,
+            a client's own the rest. Where there are fewer replays than clients, some share one.
         n_clients: number N of clients.
         rate_kb_per_s: mean uplink rate, KB/s of 1,024 bytes.
         params: scalars.
@@ -92,7 +99,7 @@ def make_trace(
         The N E requests.
     """
     rate = jnp.asarray(rate_kb_per_s, jnp.float32)
-    runs, slots = events.time_s.shape
+    runs = events.time_s.shape[0]
     leader: Events = jax.tree.map(lambda leaf: leaf[0], events)
     order_key, key = jax.random.split(key)
     order = jax.random.permutation(order_key, runs)
@@ -100,7 +107,7 @@ def make_trace(
     def client(number: jax.Array) -> Workload:
         keys = jax.random.split(jax.random.fold_in(key, number), 6)
         own: Events = jax.tree.map(lambda leaf: leaf[order[number % runs]], events)
-        mine, _ = on_timeline(own, leader, jax.random.randint(keys[5], (), 0, slots))
+        mine, _ = on_timeline(keys[5], own, leader, params.own_times)
         fading = fading_power(keys[4], mine.time_s.shape, 0.0)
         rate_bps = profile_rate_bps(fading, rate, depth=params.fading_depth)
         return client_requests(keys[:4], number, mine, encode_and_send_ms(mine, rate_bps), params)
@@ -108,21 +115,32 @@ def make_trace(
     return flatten(jax.vmap(client)(jnp.arange(n_clients, dtype=jnp.int32)))
 
 
-def on_timeline(own: Events, leader: Events, first: jax.Array) -> tuple[Events, jax.Array]:
-    """A client's requests at the times of another: its own in their order, from one of them on and around.
+def on_timeline(key: jax.Array, own: Events, leader: Events, own_times: jax.Array) -> tuple[Events, jax.Array]:
+    """When a client asks: at the times of another, or at its own.
 
     Args:
+        key: random key; says where on its route the client begins.
         own: leaves [E], what the requests are worth and carry.
-        leader: leaves [E], when they are sent, and how many.
-        first: int32, which of its own is sent first.
+        leader: leaves [E], when they are sent, and how many, unless the times are the client's own.
+        own_times: bool.
 
     Returns:
-        Leaves [E], none of them valid where the client has no request; [E] which of its own each of them is.
+        Leaves [E]: at another's times its own requests in their order, from one of them on and around, none of them
+        valid where the client has no request; at its own times these requests, around its route from a place on. And
+        [E] which of its own each of them is.
     """
+    slots = own.time_s.shape[0]
     count = jnp.sum(own.valid.astype(jnp.int32))
-    which = (first + jnp.arange(own.time_s.shape[0])) % jnp.maximum(count, 1)
+    around = (jax.random.randint(key, (), 0, slots) + jnp.arange(slots)) % jnp.maximum(count, 1)
+    last_s = jnp.maximum(jnp.max(own.time_s), jnp.max(leader.time_s))
+    route_s = jnp.maximum(PAPER_SLOTS * SLOT_S, last_s + SLOT_S)
+    begun_s = route_s * jax.random.uniform(jax.random.fold_in(key, 1))
+    which = jnp.where(own_times, jnp.arange(slots), around)
     taken: Events = jax.tree.map(lambda leaf: leaf[which], own)
-    return taken._replace(time_s=leader.time_s, valid=leader.valid & (count > 0)), which
+    return taken._replace(
+        time_s=jnp.where(own_times, (own.time_s + begun_s) % route_s, leader.time_s),
+        valid=jnp.where(own_times, own.valid, leader.valid & (count > 0)),
+    ), which
 
 
 def client_requests(

@@ -52,11 +52,11 @@ class Events(NamedTuple):
 def recorded_runs(
     runs: RouteResult, context: np.ndarray, rate_m_per_s: np.ndarray, actions: ActionSet, first: int = 0
 ) -> Events:
-    """`recorded_events` of several replays of one route, padded to the most requests of any.
+    """`recorded_events` of several replays, padded to the most requests of any.
 
     Args:
         runs: the replays, fields [S, T], on the host; those without a request are left out.
-        context: [T] route context.
+        context: [T] context of the one route of all replays, or [S, T] of the route of each.
         rate_m_per_s: [C] fitted drift rate by context.
         actions: what action numbers mean.
         first: the replay that comes first, which gives a multi-client trace its times.
@@ -68,9 +68,10 @@ def recorded_runs(
         InputError: no replay, or not the first, holds a request.
     """
     sent = np.asarray(runs.sent).any(axis=1)
-    others = [s for s in np.flatnonzero(sent) if s != first]
+    contexts = np.broadcast_to(context, np.shape(runs.sent))
+    others = [s for s in np.flatnonzero(sent).tolist() if s != first]
     each = [
-        recorded_events(jax.tree.map(lambda leaf, s=s: leaf[s], runs), context, rate_m_per_s, actions)
+        recorded_events(jax.tree.map(lambda leaf, s=s: leaf[s], runs), contexts[s], rate_m_per_s, actions)
         for s in (first, *others)
     ]
     most = max(len(events.time_s) for events in each)

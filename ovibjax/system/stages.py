@@ -143,7 +143,7 @@ def arrivals(
         def client(n: jax.Array, which: jax.Array) -> Workload:
             *keys, first_key = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, number), n), 5)
             own: Events = jax.tree.map(lambda leaf: leaf[which], events)
-            mine, taken = on_timeline(own, leader, jax.random.randint(first_key, (), 0, static.requests))
+            mine, taken = on_timeline(first_key, own, leader, data.trace.own_times)
             trace = data.trace._replace(service=data.env.service)
             return client_requests(jnp.stack(keys), n, mine, uplink_ms[which][taken], trace)
 
@@ -168,8 +168,9 @@ def serve(
         [P, rules] means over the servers.
     """
     counts = jnp.sum(history.sent.astype(jnp.int32), axis=-1)[data.fleet]
-    # Members ask at the times of the first, if they ask at all.
-    sent = jnp.sum(counts[:, 0] * jnp.sum((counts > 0).astype(jnp.int32), axis=1))
+    # Members ask at the times of the first, if they ask at all, unless they have times of their own.
+    shared = jnp.sum(counts[:, 0] * jnp.sum((counts > 0).astype(jnp.int32), axis=1))
+    sent = jnp.where(data.trace.own_times, jnp.sum(counts), shared)
     params = data.scheduler._replace(V=Vs)
     found = run_rules(workload.requests, static.schedulers, params, _judge, workload)
 

@@ -62,7 +62,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
         ("--plot", "--out", "."): "name of a file",
         ("--policy",): "name at least one",
         ("--drift-model", "random-walk"): "did you mean random_walk",
-        ("--correction", "fuse"): "there are replace, better, kalman",
+        ("--correction", "fuse"): "there are replace, always, kalman",
         ("--gate", "-1"): "--gate",
         ("--polcy", "voi"): "did you mean --policy",
     }

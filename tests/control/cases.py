@@ -154,7 +154,7 @@ def assert_equal(found, expected):
     np.testing.assert_allclose(found.voi_m[sent], expected["voi"][sent], rtol=1e-4, atol=1e-4)
 
 
-_REPLACE, BETTER, KALMAN = range(len(CORRECTIONS))
+_REPLACE, ALWAYS, KALMAN = range(len(CORRECTIONS))
 WEAK = {"mean_kb_per_s": 0.15, "snr": 0.05, "rician_k_factor": 0.0, "queue_median_ms": 300.0, "timeout_s": 2.6}
 # No sum of these is a whole square: no risk ties with a rule's threshold.
 BUSY = {"rate_m_per_s": [0.4137, 1.2219, 2.4341], "initial_risk_m": 5.0123}
@@ -177,7 +177,7 @@ WORLDS = {
         EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "correction": KALMAN},
     ),
     "gate bites": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0, "correction": KALMAN}),
-    "better": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "correction": BETTER}),
+    "always": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "correction": ALWAYS}),
     "gate of a replacement": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 1e6, "gate_sigma": 1.0}),
     "tight budget": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 500.0}),
     "budget of one byte less": (BUSY, EAGER | {"rules": QUICK_RULES, "budget_bytes": 4 * 96.0 - 1.0}),

@@ -50,7 +50,7 @@ def test_correction_is_the_textbook_update(vectors, shape, risk, gate):
     if abs(distance - gate**2) < 1e-3 * gate**2:
         return  # on the gate itself rounding decides
     fix = Fix(*map(jnp.float32, (*residual, risk, 0.6, 0.8)))
-    taken, better, got = (correct(of(error, cov), fix, jnp.int32(i), jnp.float32(gate)) for i in range(3))
+    better, taken, got = (correct(of(error, cov), fix, jnp.int32(i), jnp.float32(gate)) for i in range(3))
     got_error, got_cov = parts(got)
     fresh = (0.0, np.float32(0.6), np.float32(0.8)) if accepted else (7.0, 1.0, 0.0)
     used = accepted and risk < np.sqrt(np.trace(cov))

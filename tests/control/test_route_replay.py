@@ -132,7 +132,7 @@ def test_ground_vehicle():
 
 
 LEAVES = {
-    "correction": [0, 2, 2],
+    "correction": [0, 1, 2],
     "budget_bytes": [0.0, 400.0, 2150.0],
     "gate_sigma": [0.5, 3.0, np.inf],
     "bandwidth_m_per_s": [0.0, 3.0, 30.0],

@@ -56,7 +56,7 @@ def kalman(error, cov, residual, risk, gate):
 def correct(belief, residual, risk, toward, control):
     """A belief after a position from the edge of some risk, and whether it was used."""
     error, cov, accepted = kalman(belief[0], belief[1], residual, risk, control["gate"])
-    if control["correction"] == "better" and risk >= math.sqrt(np.trace(belief[1])):
+    if control["correction"] == "replace" and risk >= math.sqrt(np.trace(belief[1])):
         accepted = False
     if not accepted:
         return belief, False
