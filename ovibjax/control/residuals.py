@@ -1,8 +1,8 @@
 """How far off the edge's answer is, for every frame and action (paper, Section "Local Belief and Predicted Edge Gain").
 
 The edge keeps some frames of the scene as references. Leave-one-out retrieval against them ("candidate residuals use
-leave-one-out retrieval with the same-scene database") gives the realised residual of each frame and action, and by how
-much the answer beats the most similar reference in another place.
+leave-one-out retrieval with the same-scene database") gives the realised residual of each frame and action, and how
+distinct the answer is from the most similar reference in another place.
 
 References are uncompressed, as in `edge.judging`: the database holds "reference descriptors" f_n (paper, Section
 "System Architecture"), and the decoder "maps the latent representation back to the feature space. Its output is used by
@@ -60,11 +60,11 @@ class Answers(NamedTuple):
 
     Attributes:
         residual_m: [N, A, 2] horizontal error of the retrieved position, m.
-        margin: [N, A] see `edge.retrieval.Match`.
+        distinctness: [N, A] see `edge.retrieval.Match`.
     """
 
     residual_m: np.ndarray
-    margin: np.ndarray
+    distinctness: np.ndarray
 
 
 def answers(
@@ -86,13 +86,13 @@ def answers(
         recode: also pass the references through the code of the request.
 
     Returns:
-        Residuals and margins, on the host.
+        Both, on the host.
     """
     x = jnp.asarray(project(checkpoint.basis, features).reshape(len(features), -1))
     survey = make_survey(positions_m, references)
     found = jax.device_get(_retrieve(checkpoint.params, x, survey, checkpoint.arch, actions, recode))
     places_m = np.asarray(survey.places_m)[found.row].transpose(1, 0, 2)
-    return Answers((places_m - positions_m[:, None, :2]).astype(np.float32), found.margin.T)
+    return Answers((places_m - positions_m[:, None, :2]).astype(np.float32), found.distinctness.T)
 
 
 @partial(jax.jit, static_argnames=("arch", "actions", "recode"))
@@ -135,7 +135,7 @@ def retrieve(
         recode: whether the references have passed through the code (static).
 
     Returns:
-        [N] positions in the database, and margins.
+        [N] positions in the database, and how distinct they are.
     """
     view_mask, k = action
     shown = jnp.repeat(view_mask, arch.view_dim)[None]

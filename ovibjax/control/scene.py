@@ -88,9 +88,9 @@ def cut_scene(frames: JoinedDrives, trained: Checkpoint, reading: Reading) -> Sc
     actions = actions_for(frames.features.shape[1], ACTIONS)
     found = answers(trained, frames.features, frames.positions_m, frames.references, actions, reading.recode)
     length_m = np.linalg.norm(found.residual_m, axis=-1)
-    margin = jnp.asarray(found.margin)
-    calibration = fit_calibration(margin, jnp.asarray(length_m**2), jnp.asarray(frames.known))
-    risk_m = np.asarray(calibrated_risk_m(calibration, margin))
+    distinctness = jnp.asarray(found.distinctness)
+    calibration = fit_calibration(distinctness, jnp.asarray(length_m**2), jnp.asarray(frames.known))
+    risk_m = np.asarray(calibrated_risk_m(calibration, distinctness))
     known, context, contexts = frames.known, frames.context, len(frames.contexts)
     if reading.prior == "calibrated":
         prior = fit_calibrated_prior(risk_m[known], context[known], contexts)

@@ -101,11 +101,13 @@ class Match(NamedTuple):
 
     Attributes:
         row: [Q] int32 most similar row of the database.
-        margin: [Q] by how much its cosine similarity exceeds that of the most similar reference in another place.
+        distinctness: [Q] one less the ratio of two distances, to this row and to the most similar reference in another
+            place, a distance being one less the cosine similarity: 0 for a look-alike elsewhere, 1 for a match without
+            a rival (the ratio test of D. G. Lowe, 2004).
     """
 
     row: jax.Array
-    margin: jax.Array
+    distinctness: jax.Array
 
 
 def leave_one_out(
@@ -121,8 +123,8 @@ def leave_one_out(
         elsewhere_m: references further than this from the best one are in another place.
 
     Returns:
-        Rows, equal similarities to the lower one, and margins; where no reference is in another place the margin is
-        above the least possible similarity of -1. Memory is bounded by blocks.
+        Rows, equal similarities to the lower one, and how distinct they are; where no reference is in another place
+        the rival's similarity counts as the least possible, -1. Memory is bounded by blocks.
     """
     rows = jnp.arange(reference.shape[0], dtype=jnp.int32)
     unit, asked = normalize(reference), normalize(query)
@@ -133,6 +135,8 @@ def leave_one_out(
         row = jnp.argmax(similarity).astype(jnp.int32)
         away_m = jnp.linalg.norm(places_m - places_m[row][None], axis=1)
         rival = jnp.maximum(jnp.max(jnp.where(away_m > elsewhere_m, similarity, -jnp.inf)), -1.0)
-        return Match(row, similarity[row] - rival)
+        # Both distances vanish where a reference elsewhere is equal to the query as well: not distinct at all.
+        near, far = (jnp.maximum(1.0 - value, 0.0) for value in (similarity[row], rival))
+        return Match(row, jnp.where(far > 0, 1.0 - near / jnp.where(far > 0, far, 1.0), 0.0))
 
     return jax.lax.map(one, (asked, own), batch_size=_OWN_BLOCK)

@@ -12,6 +12,7 @@ from ovibjax.control.controller import GATE_SIGMA, Controller, make_controller
 from ovibjax.control.drives import JoinedDrives, join_drives
 from ovibjax.control.environment import Environment, make_environment
 from ovibjax.control.residuals import Survey, make_survey
+from ovibjax.encoder.checkpoint import CHECKPOINT_RANK
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.train import TrainConfig
 from ovibjax.errors import InputError
@@ -97,7 +98,7 @@ class SystemSize:
 
     steps: int = 600
     mixed: int = 8192
-    rank: int = 32
+    rank: int = CHECKPOINT_RANK
     clients: int = 6
     fleet: int = LEVELS["high"][0]
     kb_per_s: float = LEVELS["high"][1]

@@ -72,10 +72,10 @@ def localize(
 
     found = jax.lax.map(one, (codes, masks))  # leaves [A, F]
     residual_m = jnp.moveaxis(data.survey.places_m[found.row], 0, 1) - data.positions_m[:, None]
-    distance_m, margin = jnp.linalg.norm(residual_m, axis=-1), found.margin.T
+    distance_m, distinctness = jnp.linalg.norm(residual_m, axis=-1), found.distinctness.T
     contexts = data.env.drift.rate_m_per_s.shape[0]
     predicted_m = predictor_of_known(distance_m, data.context, data.known, contexts)
-    risk_m = calibrated_risk_m(fit_calibration(margin, distance_m**2, data.known), margin)
+    risk_m = calibrated_risk_m(fit_calibration(distinctness, distance_m**2, data.known), distinctness)
     rows = data.routes
     routes = Route(
         context=data.context[rows],

@@ -15,22 +15,22 @@ fit = jax.jit(fit_calibration)
 def frames(n, seed, others=20):
     """Margins, squared residuals and which frames are known; what is not known is far off."""
     rng = np.random.default_rng(seed)
-    margin = rng.normal(size=(n + others, 3)).astype(np.float32)
-    found = rng.random(margin.shape) < 1 / (1 + np.exp(-3 * margin))
-    squared = np.where(found, 4.0, 9000.0) * rng.exponential(size=margin.shape)
+    distinctness = rng.normal(size=(n + others, 3)).astype(np.float32)
+    found = rng.random(distinctness.shape) < 1 / (1 + np.exp(-3 * distinctness))
+    squared = np.where(found, 4.0, 9000.0) * rng.exponential(size=distinctness.shape)
     known = np.zeros(n + others, bool)
     known[rng.permutation(n + others)[:n]] = True
     squared[~known] *= 1e6
-    return margin, squared.astype(np.float32), known
+    return distinctness, squared.astype(np.float32), known
 
 
 @pytest.mark.parametrize("n", [LEVELS, LEVELS + 1, 60, 1779])
 def test_levels_are_an_isotonic_regression_of_training_frames(n):
-    margin, squared, known = frames(n, n)
-    found = fit(margin, squared, known)
-    risk = np.asarray(calibrated_risk_m(found, margin))
+    distinctness, squared, known = frames(n, n)
+    found = fit(distinctness, squared, known)
+    risk = np.asarray(calibrated_risk_m(found, distinctness))
     for a in range(3):
-        order = np.argsort(margin[known, a])
+        order = np.argsort(distinctness[known, a])
         level, values = np.arange(n) * LEVELS // n, squared[known, a][order].astype(np.float64)
         means = [values[level == b].mean() for b in range(LEVELS)]
         want = isotonic_regression(means, weights=np.bincount(level), increasing=False).x
@@ -40,9 +40,9 @@ def test_levels_are_an_isotonic_regression_of_training_frames(n):
 
 
 def test_two_populations_are_told_apart_on_frames_that_were_not_fitted():
-    margin, squared, known = frames(1779, 7, others=1779)
+    distinctness, squared, known = frames(1779, 7, others=1779)
     squared[~known] /= 1e6
-    risk = np.asarray(calibrated_risk_m(fit(margin, squared, known), margin))[~known]
+    risk = np.asarray(calibrated_risk_m(fit(distinctness, squared, known), distinctness))[~known]
     held_out = squared[~known]
     assert risk.min() < 20 < 60 < risk.max()
     for part in (risk < 50, risk >= 50, risk >= 0):
@@ -60,8 +60,8 @@ def test_the_regression_never_rises_and_keeps_the_mean(pairs):
     assert np.all(np.diff(found) <= 1e-4 * np.abs(found[1:]) + 1e-6)
 
 
-def test_a_larger_margin_never_claims_a_larger_risk():
-    margin, squared, known = frames(300, 3)
-    found = fit(margin, squared, known)
+def test_a_larger_distinctness_never_claims_a_larger_risk():
+    distinctness, squared, known = frames(300, 3)
+    found = fit(distinctness, squared, known)
     grid = np.repeat(np.linspace(-5, 5, 201, dtype=np.float32)[:, None], 3, axis=1)
     assert np.all(np.diff(calibrated_risk_m(found, grid), axis=0) <= 0)

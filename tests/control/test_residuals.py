@@ -37,10 +37,10 @@ def test_residuals_are_those_of_leave_one_out_retrieval(recode):
         own = [list(references).index(i) if i in references else -1 for i in range(120)]
         # References are as the edge has them: in the views of the request, uncompressed unless said.
         database = decoded if recode else (x * mask).reshape(120, -1)
-        rows, margin = oracle.most_similar_other(decoded, database[references], own, places, ELSEWHERE_M)
+        rows, distinctness = oracle.most_similar_other(decoded, database[references], own, places, ELSEWHERE_M)
         want = places[rows] - frames.positions_m[:, :2]
         equal = np.isclose(found.residual_m[:, a], want, atol=1e-4).all(axis=1)
-        np.testing.assert_allclose(found.margin[equal, a], margin[equal], atol=1e-5)
+        np.testing.assert_allclose(found.distinctness[equal, a], distinctness[equal], atol=1e-5)
         same += equal.mean()
         assert np.all(np.linalg.norm(found.residual_m[references, a], axis=-1) > 1.0)  # never itself
     assert same / 8 > 0.98  # near ties may fall either way in float32

@@ -1,4 +1,4 @@
-"""Leave-one-out retrieval and its margin against a loop over the other rows."""
+"""Leave-one-out retrieval and how distinct it is against a loop over the other rows."""
 
 import jax
 import numpy as np
@@ -16,9 +16,10 @@ def places(n):
 
 
 def leave_one_out(query, reference, own, elsewhere_m=2.5):
-    """Rows of the jitted function, whose margins are the oracle's."""
+    """Rows of the jitted function, as distinct as the oracle says."""
     found = _jitted(query, reference, own, places(len(reference)), elsewhere_m)
-    np.testing.assert_allclose(found.margin, most_similar_other(query, reference, own, elsewhere_m)[1], atol=2e-6)
+    want = most_similar_other(query, reference, own, elsewhere_m)[1]
+    np.testing.assert_allclose(found.distinctness, want, atol=2e-5)
     return np.asarray(found.row)
 
 
@@ -70,9 +71,13 @@ def test_blocks_do_not_show():
     assert np.all(whole != own)
 
 
-def test_the_margin_is_over_another_place_and_over_the_least_similarity_where_there_is_none():
+def test_distinctness_is_a_ratio_to_the_best_match_in_another_place():
     reference = np.array([[1, 0], [0.8, 0.6], [0, 1]], np.float32)
-    query, own = np.array([[2, 0]], np.float32), np.array([-1], np.int32)
-    for elsewhere_m, margin in ((0.5, 0.2), (1.5, 1.0), (9.0, 2.0)):
+    query, own = np.array([[0.96, 0.28]], np.float32), np.array([-1], np.int32)
+    near = 1 - 0.96
+    for elsewhere_m, rival in ((0.5, 0.96 * 0.8 + 0.28 * 0.6), (1.5, 0.28), (9.0, -1.0)):
         found = _jitted(query, reference, own, places(3), elsewhere_m)
-        assert found.row == 0 and found.margin[0] == pytest.approx(margin, abs=1e-6)
+        assert found.row == 0 and found.distinctness[0] == pytest.approx(1 - near / (1 - rival), abs=1e-5)
+    # The same frame in two places: nothing tells them apart.
+    twice = np.array([[1, 0], [0, 1], [1, 0]], np.float32)
+    assert _jitted(twice[:1], twice, own, places(3), 1.5).distinctness[0] == pytest.approx(0.0, abs=1e-6)

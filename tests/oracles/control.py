@@ -194,11 +194,12 @@ def replay(policy, draws, route, env, control, actions):
 
 
 def most_similar_other(query, reference, own, places, elsewhere):
-    """Row of the most similar reference of each query, skipping row `own`, the first of equals; and its margin.
+    """Row of the most similar reference of each query, skipping row `own`, the first of equals; and how distinct it is.
 
-    The margin is over the most similar reference further than `elsewhere` from that row, or over -1 if there is none.
+    That is 1 - d / d', d = 1 - cosine, d' that of the most similar reference further than `elsewhere` from the row, or
+    of a cosine of -1 if there is none.
     """
-    found, margins = [], []
+    found, distinct = [], []
     for q, skip in zip(np.asarray(query, np.float64), own, strict=True):
         scores = {}
         for row, r in enumerate(np.asarray(reference, np.float64)):
@@ -208,8 +209,9 @@ def most_similar_other(query, reference, own, places, elsewhere):
         best = max(scores, key=lambda row: (scores[row], -row))
         far = [scores[row] for row in scores if math.dist(places[row], places[best]) > elsewhere]
         found.append(best)
-        margins.append(scores[best] - max([-1.0, *far]))
-    return np.array(found), np.array(margins)
+        near, rival = 1.0 - scores[best], 1.0 - max([-1.0, *far])
+        distinct.append(1.0 - near / rival if rival > 1e-12 else 0.0)
+    return np.array(found), np.array(distinct)
 
 
 def survey(positions, yaw, drive, spacing, turn_deg):

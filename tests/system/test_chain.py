@@ -125,7 +125,7 @@ def test_residuals_and_g_psi_are_those_of_the_control_study(made, staged):
     np.testing.assert_allclose(
         routes.predicted_m, fit_predictor(length[known], context[known], 3)[context[rows]], atol=1e-4
     )
-    risk = calibrated_risk_m(fit_calibration(found.margin, length**2, known), found.margin)
+    risk = calibrated_risk_m(fit_calibration(found.distinctness, length**2, known), found.distinctness)
     np.testing.assert_allclose(routes.risk_m, np.asarray(risk)[rows], rtol=1e-3)
 
 
