@@ -24,7 +24,8 @@ from ovibjax.cards.scheduling_study import PAIRED, PAPER_TIES, SCOPES, events_of
 from ovibjax.report import panels
 from ovibjax.report.claims import Claim, interval, write_claims
 from ovibjax.report.rows import write_rows
-from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
+from ovibjax.scheduling.clients import PHASE_SPREAD_S
+from ovibjax.scheduling.congestion import LEVELS
 from ovibjax.scheduling.rules import POLICIES
 from ovibjax.scheduling.ties import TIES
 

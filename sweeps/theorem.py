@@ -95,8 +95,10 @@ def judge_claims(found: TheoremRuns) -> list[Claim]:
         _bound_claim(found, "gap", (PENDING_BUSY,), f"Serving pending requests only, busy: {gap}", A_THEOREM),
         _bound_claim(found, "gap", (PENDING_LIGHT,), f"Serving pending requests only, light load: {gap}", A_THEOREM),
         _bound_claim(found, "backlog", pending, f"Serving pending requests only: {backlog}", A_THEOREM),
-        _bound_claim(found, "gap", (SHIFTED_LIGHT,), f"The same with ν less its maximum, light load: {gap}", "-"),
-        _bound_claim(found, "backlog", (SHIFTED_LIGHT,), f"The same with ν less its maximum: {backlog}", "-"),
+        _bound_claim(
+            found, "gap", (SHIFTED_LIGHT,), f"The same with ν less its maximum, light load: {gap}", "-"
+        ).as_own(),
+        _bound_claim(found, "backlog", (SHIFTED_LIGHT,), f"The same with ν less its maximum: {backlog}", "-").as_own(),
         *_growth_claims(found),
     ]
 
@@ -146,7 +148,7 @@ def _growth_claims(found: TheoremRuns) -> list[Claim]:
             0.9,
             *shares,
             rule="at least 0.9 of the least growth of any policy (a linear program) at every load above 1",
-        ),
+        ).as_own(),
     ]
 
 

@@ -10,7 +10,8 @@ from ovibjax.cards.scheduling_drawing import COLOURS, NAMES
 from ovibjax.report import figures as fig
 from ovibjax.report import panels
 from ovibjax.report.claims import interval
-from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
+from ovibjax.scheduling.clients import PHASE_SPREAD_S
+from ovibjax.scheduling.congestion import LEVELS
 from ovibjax.scheduling.ties import TIES
 
 PAPER_TOP = {

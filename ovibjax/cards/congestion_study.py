@@ -9,8 +9,8 @@ import numpy as np
 from ovibjax.cards.scheduling_study import PAPER_TIES, metric_of, paper_cases
 from ovibjax.control.protocols import seeds_to_keys
 from ovibjax.runtime.progress import console
-from ovibjax.scheduling.clients import default_trace_params
-from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S, Case, compare
+from ovibjax.scheduling.clients import PHASE_SPREAD_S, default_trace_params
+from ovibjax.scheduling.congestion import LEVELS, Case, compare
 from ovibjax.scheduling.events import Events
 from ovibjax.scheduling.replay_metrics import ReplayMetrics
 from ovibjax.scheduling.rules import default_params

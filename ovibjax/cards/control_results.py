@@ -31,9 +31,9 @@ def study(job: Job) -> ControlStudy:
         return control_study(job.preset, job.seed, drives, training, job.stage)
 
 
-def representative(found: ControlStudy) -> int:
-    """Position of the held-out seed whose VOI-Control error is the median one."""
-    mean = found.of("voi", "mean_m")
+def representative(found: ControlStudy, point: Point = PAPER) -> int:
+    """Position of the held-out seed whose VOI-Control error is the median one at a setting."""
+    mean = found.of("voi", "mean_m", point)
     return int(np.argsort(mean)[len(mean) // 2])
 
 

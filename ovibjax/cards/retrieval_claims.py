@@ -144,7 +144,7 @@ def _growth(found: RetrievalStudy) -> Claim:
     first, last = found.growth[0], found.growth[-1]
     return Claim.reported(
         "Fine search costs O(N_tile) instead of O(N)",
-        "-",
+        "from O(N d) to O(N_tile d)",
         f"time grows as N^{found.slope('brute'):.2f} (brute force), N^{found.slope('fine_2'):.2f} (2 scenes kept), "
         f"N^{found.slope('fine_all'):.2f} (all scenes) from N = {first['n']:,.0f} to {last['n']:,.0f}; there "
         f"{last['brute']:.3g}, {last['fine_2']:.3g} and {last['fine_all']:.3g} ms per query",

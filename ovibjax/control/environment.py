@@ -92,6 +92,10 @@ PAPER_UPLOAD_SHARE = (0.005, 0.057, 0.140)
 """Share of slots with an upload: corridor, intersection, repetitive (paper, Section "View-Rate Selection")."""
 
 
+EMBEDDED_SHARE = (0.613, 0.226, 0.161)
+"""Share of slots in each context on the training routes of the embedded town, see `drives`."""
+
+
 def rates_from_paper(context_share: np.ndarray) -> np.ndarray:
     """Drift rates by context that spend the paper's budget: 22 requests a route, each from 6 m to 3 m of risk.
 
@@ -116,7 +120,7 @@ def rates_from_paper(context_share: np.ndarray) -> np.ndarray:
 
 
 def make_environment(
-    context_share: Any = (0.44, 0.37, 0.19),
+    context_share: Any = EMBEDDED_SHARE,
     mean_kb_per_s: float = 8.0,
     drift_scale: float = 1.0,
     drift_model: str = "rate",

@@ -15,11 +15,6 @@ from ovibjax.scheduling.rules import POLICIES, SchedulerParams
 LEVELS = {"low": (10, 12.0), "medium": (20, 8.0), "high": (30, 4.0)}
 """Congestion: clients N, and the weak-link profile in KB/s (paper, Section "Multi-Client Scheduling")."""
 
-PHASE_SPREAD_S = 0.57
-"""Requests are shifted uniformly within this time. The paper does not give it; at this value the edge p95 of FIFO at
-high congestion comes to the paper's 93 ms on tuning seeds (0.54 s: 100 ms, 0.6 s: 86 ms), and the other rules fall as
-they fall."""
-
 
 class Case(NamedTuple):
     """One workload; fields [cases].

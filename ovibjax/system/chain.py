@@ -21,7 +21,7 @@ from ovibjax.system.stages import arrivals, localize, replay_clients, serve, tra
 from ovibjax.views import mode_mask
 
 DIMS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("mean_route_m", "p95_route_m", "kb", "requests", "risk_m", "residual_m"), ("k",)),
+    **dict.fromkeys(("mean_route_m", "p95_route_m", "kb", "free_kb", "requests", "risk_m", "residual_m"), ("k",)),
     **dict.fromkeys(
         (
             *(
@@ -40,6 +40,7 @@ UNITS = {
     **{name: "m" for name in DIMS if name.endswith("_m")},
     **{name: "ms" for name in DIMS if name.endswith("_ms")},
     "kb": "KB",
+    "free_kb": "KB",
 }
 """Units of the metrics."""
 
@@ -90,13 +91,14 @@ def along(
     def at_prefix(k: jax.Array) -> dict[str, jax.Array]:
         actions = SweptActions(modes=static.modes, k=k)
         routes, residual_m = localize(params, codes, masks, k, data, static)
-        history = replay_clients(route_key, routes, actions, data, static)
+        history, free_kb = replay_clients(route_key, routes, actions, data, static)
         workload = arrivals(queue_key, history, routes, actions, data, static)
         summary = jax.tree.map(lambda leaf: jnp.mean(leaf.astype(jnp.float32)), summarize(history))
         return {
             "mean_route_m": summary.mean_m,
             "p95_route_m": summary.p95_m,
             "kb": summary.kb,
+            "free_kb": jnp.max(free_kb),
             "requests": summary.requests,
             "risk_m": summary.risk_m,
             "residual_m": residual_m,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
-from ovibjax.control.controller import GATE_SIGMA, Controller, make_controller
+from ovibjax.control.controller import Controller, make_controller
 from ovibjax.control.drives import JoinedDrives, join_drives
 from ovibjax.control.environment import Environment, make_environment
 from ovibjax.control.residuals import Survey, make_survey
@@ -19,7 +19,7 @@ from ovibjax.errors import InputError
 from ovibjax.features.basis import fit_basis, project
 from ovibjax.features.frames import FeatureSet
 from ovibjax.scheduling.clients import TraceParams, default_trace_params
-from ovibjax.scheduling.congestion import LEVELS, PHASE_SPREAD_S
+from ovibjax.scheduling.congestion import LEVELS
 from ovibjax.scheduling.rules import POLICIES, SchedulerParams, default_params
 from ovibjax.views import modes_for
 
@@ -110,8 +110,9 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
 
     Every client that is replayed leads a fleet on a server of its own: its clients ask when the leader does, with
     requests of the replayed clients in turn, and with phases, urgencies, deadlines and service times of their own, as
-    in the paper's multi-client replay. Clients discard corrections that look impossible to them: one that fell for a
-    look-alike is a hundred metres off, and a few of those would hide what an axis does.
+    in the paper's multi-client replay. Clients fuse corrections by their calibrated risk, as those of the scheduling
+    figures do: an answer that fell for a look-alike is a hundred metres off, and a few of those would hide what an axis
+    does.
 
     Args:
         sets: one feature set per drive, frames in order and half a second apart.
@@ -142,8 +143,8 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
         routes=held_out[np.arange(size.clients) % len(held_out)].astype(np.int32),
         fleet=((np.arange(size.clients)[:, None] + np.arange(size.fleet)) % size.clients).astype(np.int32),
         env=make_environment(frames.context_share, size.kb_per_s),
-        control=make_controller(ActionSet(tuple(modes), (0,)), gate_sigma=GATE_SIGMA),
-        trace=default_trace_params()._replace(phase_spread_s=jnp.float32(PHASE_SPREAD_S)),
+        control=make_controller(ActionSet(tuple(modes), (0,)), correction="kalman"),
+        trace=default_trace_params(),
         scheduler=default_params(),
     )
     arch = Architecture(n_views=x.shape[1], view_dim=x.shape[2], latent=max(PREFIXES), hidden=256, last_hidden=128)

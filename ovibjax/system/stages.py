@@ -13,6 +13,7 @@ from ovibjax.control.environment import Route, draw
 from ovibjax.control.predictor import predictor_of_known
 from ovibjax.control.residuals import retrieve
 from ovibjax.control.route_replay import RouteResult, simulate
+from ovibjax.control.route_summary import score
 from ovibjax.edge.retrieval import Match
 from ovibjax.encoder.checkpoint import mix_frames
 from ovibjax.encoder.loss import make_hypers
@@ -89,7 +90,7 @@ def localize(
 
 def replay_clients(
     key: jax.Array, routes: Route, actions: SweptActions, data: SystemData, static: SystemConfig
-) -> RouteResult:
+) -> tuple[RouteResult, jax.Array]:
     """Replay request control of every client, each with its own draws of drift, channel and queue.
 
     Args:
@@ -100,12 +101,14 @@ def replay_clients(
         static: the policy.
 
     Returns:
-        [C, T] histories.
+        [C, T] histories, and [C] KB that VOI-Control would send if no cap held it back.
     """
+    free = data.control._replace(budget_bytes=jnp.full_like(data.control.budget_bytes, jnp.inf))
 
-    def one(number: jax.Array, route: Route) -> RouteResult:
+    def one(number: jax.Array, route: Route) -> tuple[RouteResult, jax.Array]:
         draws = draw(jax.random.fold_in(key, number), route, data.env, actions)
-        return simulate(draws, route, static.policy, ControlParams(data.env, data.control), actions)
+        uncapped = score(draws, route, "voi", ControlParams(data.env, free), actions).kb
+        return simulate(draws, route, static.policy, ControlParams(data.env, data.control), actions), uncapped
 
     return jax.vmap(one)(jnp.arange(routes.context.shape[0], dtype=jnp.int32), routes)
 

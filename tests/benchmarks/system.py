@@ -67,7 +67,7 @@ def numpy_retrieval(params: Any, data: SystemData, masks: np.ndarray, k: int) ->
     """[A, F] retrieved references, leave one out, as one writes it in NumPy."""
     layers = {name: jax.tree.map(np.asarray, layer) for name, layer in dense_layers(params).items()}
     x = np.asarray(data.x).reshape(len(data.x), -1)
-    references, own = np.asarray(data.references), np.asarray(data.own)
+    references, own = np.asarray(data.survey.rows), np.asarray(data.survey.own)
 
     def dense(name: str, h: np.ndarray) -> np.ndarray:
         return h @ layers[name]["kernel"] + layers[name].get("bias", np.float32(0.0))
@@ -84,7 +84,7 @@ def numpy_retrieval(params: Any, data: SystemData, masks: np.ndarray, k: int) ->
         coordinates = dense("completion", gelu(dense("decoder_2", np.sin(dense("decoder_1", mu)))))
         coordinates[:, :k] = mu[:, :k]
         descriptor = dense("principal", coordinates) * wide
-        unit = descriptor[references] / np.linalg.norm(descriptor[references], axis=1, keepdims=True)
+        unit = kept[references] / np.linalg.norm(kept[references], axis=1, keepdims=True)
         similarity = descriptor @ unit.T
         rows = np.flatnonzero(own >= 0)
         similarity[rows, own[rows]] = -np.inf
@@ -153,11 +153,11 @@ def main() -> None:
     flat = data.x.reshape(len(data.x), -1)
     codes = jnp.stack([encode_views(params, flat, jnp.asarray(mask), static.train.arch) for mask in masks])
     routes, _ = stages.localize(params, codes, jnp.asarray(masks), jnp.int32(k), data, static)
-    places = np.asarray(data.positions_m)[np.asarray(data.references)]
+    places = np.asarray(data.survey.places_m)
     theirs = (places[retrieved] - np.asarray(data.positions_m)).transpose(1, 0, 2)[np.asarray(data.routes)]
     same = float(np.mean(np.all(np.abs(theirs - np.asarray(routes.residual_m)) < 1e-3, axis=-1)))
     print(f"NumPy retrieves what ours does in {100 * same:.2f} % of frames and modes")
-    history = stages.replay_clients(route_key, routes, actions, data, static)
+    history, _ = stages.replay_clients(route_key, routes, actions, data, static)
     one = jax.tree.map(lambda leaf: leaf[0], routes)
     draws = draw(jax.random.fold_in(route_key, 0), one, data.env, actions)
     params_control = ControlParams(data.env, data.control)

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from ovibjax.edge.service import EDGE, estimate_ms
-from ovibjax.scheduling.clients import default_trace_params, make_trace
+from ovibjax.scheduling.clients import (
+    DEADLINE_MS,
+    DEADLINE_SPREAD,
+    PAPER_COST,
+    PAPER_LATENCY_MS,
+    TOP_VALUE_M,
+    default_trace_params,
+    make_trace,
+)
 from ovibjax.scheduling.events import synthetic_events
 
 EVENTS = 12
@@ -25,7 +33,8 @@ def several():
 
 
 def made(events, n_clients=5, rate=4.0, seed=0, **numbers):
-    params = default_trace_params()._replace(**{name: jnp.float32(value) for name, value in numbers.items()})
+    numbers = {name: jnp.asarray(value, bool if value is True else jnp.float32) for name, value in numbers.items()}
+    params = default_trace_params()._replace(**numbers)
     trace = compiled_trace(jax.random.key(seed), events, n_clients, jnp.float32(rate), params)
     return jax.tree.map(np.asarray, trace)
 
@@ -58,7 +67,8 @@ def test_requests_have_phases_and_a_client_keeps_its_urgency(events):
     urgency = trace.requests.urgency.reshape(5, EVENTS)
     assert np.all(np.ptp(urgency, axis=1) == 0) and len(np.unique(urgency[:, 0])) == 5
     assert np.all((urgency >= 0.5) & (urgency <= 1.5))
-    assert np.all((trace.requests.deadline_ms >= 172) & (trace.requests.deadline_ms <= 688))
+    assert DEADLINE_MS == 776  # the figure of its derivation
+    assert np.all((trace.requests.deadline_ms >= 310) & (trace.requests.deadline_ms <= 1242))
     assert len(np.unique(trace.requests.deadline_ms)) == 5 * EVENTS
 
 
@@ -106,3 +116,22 @@ def test_a_replay_without_requests_sends_none_and_a_shorter_one_goes_around(seve
     assert sorted(valid.sum(axis=1)) == [0] + [EVENTS] * 6
     short = [row for row in voi_m if np.isin(row, np.asarray(several.voi_m[2, :5])).all()]
     assert len(short) == 1 and len(np.unique(short[0])) == 5
+
+
+def test_the_deadline_brings_the_papers_cost():
+    """Drawn as they are, the deadlines give the paper's cost to a request of our top value and the paper's latency."""
+    low, high = DEADLINE_MS * (1 - DEADLINE_SPREAD), DEADLINE_MS * (1 + DEADLINE_SPREAD)
+    deadline_ms = np.random.default_rng(0).uniform(low, high, 400_000)
+    assert np.mean(TOP_VALUE_M * PAPER_LATENCY_MS / deadline_ms) == pytest.approx(PAPER_COST, rel=0.005)
+
+
+def test_clients_with_times_of_their_own_ask_as_often_as_they_did_from_a_place_on(several):
+    trace = made(several, n_clients=7, phase_spread_s=0.0, own_times=True)
+    time_s = ((trace.requests.ready_ms - trace.uplink_ms) / 1000.0).reshape(7, EVENTS)
+    begun = []
+    for row, voi_m in zip(time_s, trace.requests.voi_m.reshape(7, EVENTS), strict=True):
+        run = int(np.argmin([np.abs(voi_m - each).max() for each in np.asarray(several.voi_m)]))
+        shift = (row - np.asarray(several.time_s[run])) % 296.5
+        np.testing.assert_allclose(shift, shift[0], atol=1e-3)
+        begun.append(shift[0])
+    assert np.ptp(begun) > 50

@@ -96,7 +96,7 @@ def staged(made, point):
         )
         actions = SweptActions(modes=static.modes, k=k)
         routes, _residual_m = stages.localize(params, codes, masks, k, data, static)
-        history = stages.replay_clients(route_key, routes, actions, data, static)
+        history, _free_kb = stages.replay_clients(route_key, routes, actions, data, static)
         return params, routes, history, stages.arrivals(queue_key, history, routes, actions, data, static)
 
     return jax.device_get(chain(jax.random.key(7), jnp.int32(KS[1]), data))
@@ -169,7 +169,9 @@ def test_every_request_reaches_its_server_once_and_no_byte_is_lost(made, staged)
 def test_an_idle_server_adds_its_service_time_alone(made, staged):
     data, static = made
     history, routes = staged[2], staged[1]
-    far = data._replace(fleet=jnp.array([[0]], jnp.int32))
+    # Without phases a client's requests are a slot apart, and a slot is longer than a service.
+    trace = data.trace._replace(phase_spread_s=jnp.float32(0.0))
+    far = data._replace(fleet=jnp.array([[0]], jnp.int32), trace=trace)
     workload = arrivals(jax.random.key(1), history, routes, jnp.int32(KS[1]), far, static)
     one = jax.tree.map(lambda leaf: leaf[0], workload)
     valid = np.asarray(one.requests.valid)
