@@ -14,7 +14,7 @@ import numpy as np
 from ovibjax.control.actions import ACTIONS, ActionSet, actions_for
 from ovibjax.control.drives import JoinedDrives, join_drives
 from ovibjax.control.predictor import fit_predictor
-from ovibjax.control.residuals import encode_views, residuals_m
+from ovibjax.control.residuals import answers, encode_views
 from ovibjax.edge.retrieval import normalize
 from ovibjax.encoder.checkpoint import CHECKPOINT, Checkpoint, CheckpointConfig, train_checkpoint
 from ovibjax.errors import InputError
@@ -57,7 +57,8 @@ def make_edge(
     trained = train_checkpoint(jax.random.key(0), frames.first_frames, checkpoint)
     on_stage("retrieving residuals")
     kept = frames.references
-    realised = residuals_m(trained, frames.features, frames.positions_m, kept, actions)
+    # The file holds references as codes, so that they have passed through the code of the request.
+    realised = answers(trained, frames.features, frames.positions_m, kept, actions, recode=True).residual_m
     x = project(trained.basis, frames.features)
     codes = codes_of(trained, x, actions)
     known, context = frames.known, frames.context

@@ -100,6 +100,8 @@ class Robot:
             jnp.asarray(file.route_yaw_rad[self.rows]),
             jnp.asarray(file.predicted_m[context]),
             jnp.asarray(file.route_residual_m[self.rows]),
+            # What an answer is trusted to be is what was expected of the action.
+            jnp.asarray(file.predicted_m[context]),
         )
         self.draws = _draw(mine, self.route, world.params, file.actions)
         self._params = by_action(world.params)
@@ -227,7 +229,15 @@ def _tick(
         sent_bytes=state.sent_bytes + jnp.where(send, request.payload_bytes, 0.0),
         used_j=state.used_j + jnp.where(send, request.energy_j, 0.0),
     )
-    numbers = (send, decision.action, request.voi_m, seen.risk_m, request.delay_s, request.fix.predicted_m, error_m)
+    numbers = (
+        send,
+        decision.action,
+        request.voi_m,
+        seen.risk_m,
+        request.delay_s,
+        slot.predicted_m[decision.action],
+        error_m,
+    )
     return after, jnp.stack([jnp.asarray(number).astype(jnp.float32) for number in numbers])
 
 
@@ -249,7 +259,7 @@ def _correct(
     """The belief of the slot that the robot asked in, with the answer."""
     slot = _slot(slots, number)
     fix = Fix(x_m, y_m, slot.predicted_m[action], slot.odometry.toward_x, slot.odometry.toward_y)
-    return belief.correct(before, fix, params.control.replaces, params.control.gate_sigma)
+    return belief.correct(before, fix, params.control.correction, params.control.gate_sigma)
 
 
 @jax.jit
