@@ -58,6 +58,7 @@ class RobotJob:
         seconds: how long to drive, in the world's time.
         speed: how much faster than ours the world's time is.
         seed: of everything that is drawn.
+        budget_kb: payload allowed over the drive; None for the paper's in proportion to its length.
         trace: a measured throughput trace instead of the profile.
         log: file for a line per question.
         key_file: shared key.
@@ -75,6 +76,7 @@ class RobotJob:
     seconds: float = 60.0
     speed: float = 1.0
     seed: int = 100
+    budget_kb: float | None = None
     trace: str | None = None
     log: str | None = None
     key_file: str | None = None
@@ -103,12 +105,14 @@ class RobotJob:
 
 
 def world_of(job: RobotJob, file: EdgeFile) -> World:
-    """The world that all robots of a job share; the budget is the paper's for as long a route."""
+    """The world that all robots of a job share."""
     env = make_environment(file.context_share, job.profile_kb_per_s)
     prices = (LAMBDA_B_M_PER_S, LAMBDA_D_M_PER_S)
     if job.policy == "voi_gap":
         prices = (GAP_LAMBDA_B_M_PER_S, GAP_LAMBDA_D_M_PER_S)
-    budget_kb = PAPER_BUDGET_KB * max(job.slots / PAPER_SLOTS, _LEAST_BUDGET)
+    budget_kb = job.budget_kb
+    if budget_kb is None:
+        budget_kb = PAPER_BUDGET_KB * max(job.slots / PAPER_SLOTS, _LEAST_BUDGET)
     control = make_controller(file.actions, *prices, budget_kb=budget_kb)
     return World(file, ControlParams(env, control), job.policy, job.slots)
 

@@ -20,6 +20,7 @@ BAD = {
     "a policy": (("drive", "none.npz", "--policy", "random"), "--policy random: robots can follow voi"),
     "clients": (("drive", "none.npz", "--clients", "0"), "--clients 0 is not 1 to 65536"),
     "a speed": (("drive", "none.npz", "--speed", "0"), "--speed 0.0 is not a positive number"),
+    "a budget": (("drive", "none.npz", "--budget", "nan"), "--budget nan is not a positive number"),
     "a trace": (("drive", "none.npz", "--trace", "none.txt"), "none.txt"),
     "no edge to drive with": (("drive", "none.npz"), "none.npz: no such file"),
     "not an npz": (("export", "edge.txt"), "edge.txt: the name of an edge file ends in .npz"),

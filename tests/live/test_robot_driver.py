@@ -128,8 +128,9 @@ def test_a_robots_draws_depend_on_seed_and_number_alone(edge_path, edge_file):
 
 
 def test_the_budget_grows_with_the_drive(edge_path, edge_file):
-    short, long = (
-        float(world_of(job_of(edge_path, 1, seconds=s), edge_file).params.control.budget_bytes) for s in (296.5, 593.0)
-    )
-    assert long == pytest.approx(2 * short)
-    assert short == pytest.approx(2.1 * 1024)
+    def budget_kb(**changes):
+        return float(world_of(job_of(edge_path, 1, **changes), edge_file).params.control.budget_bytes) / 1024
+
+    assert budget_kb(seconds=296.5) == pytest.approx(2.1)
+    assert budget_kb(seconds=593.0) == pytest.approx(4.2)
+    assert budget_kb(seconds=593.0, budget_kb=1.0) == pytest.approx(1.0)
