@@ -1,7 +1,5 @@
 """Pages in a real browser: figures load, filters and keys work, contrast suffices, phones do not scroll sideways."""
 
-import os
-import shutil
 from pathlib import Path
 
 import pytest
@@ -9,6 +7,7 @@ import pytest
 from ovibjax.report.web.results_html import write_results_page
 from ovibjax.report.web.studies import TableStudy
 from ovibjax.report.web.sweep_html import write_sweep_page
+from tests.report.browsers import opened_browser
 from tests.report.cases import made_results, zipped
 from tests.report.folders import PARTS, write_results
 from tests.report.test_web import PAIRS
@@ -16,21 +15,15 @@ from tests.report.test_web import PAIRS
 pytestmark = pytest.mark.browser
 playwright = pytest.importorskip("playwright.sync_api")
 COMMITTED = Path(__file__).parents[2] / "results" / "index.html"
-QUIET = ("--disable-gpu", "--disable-background-networking", "--disable-component-update", "--no-first-run")
 
 
 @pytest.fixture(scope="module")
 def browser():
-    system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    # A browser refuses to isolate itself for the administrator, as whom containers run.
-    root = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-    with playwright.sync_playwright() as started:
-        try:
-            opened = started.chromium.launch(executable_path=system, args=[*QUIET, *root])
-        except playwright.Error as error:
-            pytest.skip(f"no browser here: {str(error).splitlines()[0]}")
-        yield opened
-        opened.close()
+    try:
+        with opened_browser() as found:
+            yield found
+    except playwright.Error as error:
+        pytest.skip(f"no browser here: {str(error).splitlines()[0]}")
 
 
 @pytest.fixture(scope="module")

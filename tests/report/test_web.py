@@ -1,10 +1,12 @@
 """Pages as text: one file, everything escaped, every link leads somewhere. `test_browser` opens them."""
 
 import base64
+import hashlib
 import io
 import json
 import re
 from html.parser import HTMLParser
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -133,6 +135,15 @@ def test_nothing_to_show_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"cannot write there"):
         (tmp_path / "file").write_text("")
         write_sweep_page(made_results(), tmp_path / "file" / "x.html", "x")
+
+
+def test_libraries_are_those_that_are_named():
+    vendor = resources.files("ovibjax.report.web") / "vendor"
+    listed = re.findall(r"`([\w.]+\.js)` \| ([\d.]+) \| ISC \| ([0-9a-f]{64})", (vendor / "README.md").read_text())
+    assert len(listed) == 2
+    for name, version, digest in listed:
+        content = (vendor / name).read_bytes()
+        assert hashlib.sha256(content).hexdigest() == digest and f"v{version} ".encode() in content[:100], name
 
 
 def test_pictures_are_small_and_look_alike(tmp_path):
