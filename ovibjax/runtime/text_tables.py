@@ -17,13 +17,17 @@ _WITH_POINT = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 
 
-def read_text(path: Path, max_bytes: int, what: str) -> str:
+_RULE = re.compile(r"[-+|:\s]*---[-+|:\s]*")  # between the names of a table that is drawn and its rows
+
+
+def read_text(path: Path, max_bytes: int, what: str, tolerant: bool = False) -> str:
     """The content of a text file: UTF-8, its byte-order mark dropped, no NUL, of bounded size.
 
     Args:
         path: the file.
         max_bytes: longest accepted.
         what: what the file should be, for messages, such as `trace`.
+        tolerant: leave it to the caller what bytes that are not UTF-8 mean, where they stand; see `is_utf8`.
 
     Returns:
         The text, with line breaks as they are in the file.
@@ -47,7 +51,14 @@ def read_text(path: Path, max_bytes: int, what: str) -> str:
     try:
         return data.decode()
     except UnicodeDecodeError as error:
+        if tolerant:
+            return data.decode(errors="surrogateescape")
         raise refusal(path, "not UTF-8 text; save it as UTF-8", _line_of(data, error.start)) from error
+
+
+def is_utf8(cell: str) -> bool:
+    """Whether a cell of a text that was read tolerantly was UTF-8."""
+    return cell.isascii() or not any("\udc80" <= letter <= "\udcff" for letter in cell)
 
 
 def _line_of(data: bytes, offset: int) -> int:
@@ -78,11 +89,11 @@ class ContentLines:
 
 
 def separator_of(line: str) -> str:
-    """What separates the cells of a table, from its first line: `;`, a tab, `,`, or else white space (a blank)."""
+    """What separates the cells of a table, from its first line: `;`, a tab, `,`, `|`, or else white space (a blank)."""
     words = line.split()
     if len(words) > 1 and all(number_of(word) is not None or _WITH_COMMA.fullmatch(word) for word in words):
         return " "  # numbers between white space, decimal commas among them
-    return next((mark for mark in ";\t," if mark in line.strip()), " ")
+    return next((mark for mark in ("|;\t," if line.strip().startswith("|") else ";\t,|") if mark in line.strip()), " ")
 
 
 def cells_of(path: Path, lines: ContentLines, separator: str, strict: bool = False) -> Iterator[list[str]]:
@@ -103,7 +114,7 @@ def cells_of(path: Path, lines: ContentLines, separator: str, strict: bool = Fal
     if separator == " ":
         yield from (line.split() for line in lines)
         return
-    source = (line + "\n" for line in lines)
+    source = (line + "\n" for line in lines) if separator != "|" else (line for line in map(_drawn, lines) if line)
     try:
         for cells in csv.reader(source, delimiter=separator, skipinitialspace=True, strict=strict):
             if any("\n" in cell.rstrip() for cell in cells):
@@ -111,6 +122,14 @@ def cells_of(path: Path, lines: ContentLines, separator: str, strict: bool = Fal
             yield [cell.strip() for cell in cells]
     except csv.Error as error:
         raise refusal(path, f"not a table of cells ({error})", lines.number) from error
+
+
+def _drawn(line: str) -> str:
+    """A line of a table that is drawn with `|`, without what stands around its cells; "" for a rule."""
+    if _RULE.fullmatch(line):
+        return ""
+    line = line.strip()
+    return (line[1:].removesuffix("|") if line.startswith("|") else line) + "\n"
 
 
 def is_missing(cell: str) -> bool:
@@ -123,7 +142,7 @@ Rows = Iterator[tuple[int, list[str]]]
 
 
 def with_points(path: Path, rows: Rows, columns: Collection[int] | None = None) -> Rows:
-    """Rows of a table that commas do not separate, decimal commas made points: `1,5` as `1.5`.
+    """Rows of a table with decimal commas made points: `1,5` as `1.5`.
 
     Args:
         path: what to call the file.

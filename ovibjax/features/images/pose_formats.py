@@ -2,7 +2,7 @@
 
 | form     | a line                                                         | frame              | axes, world/body |
 |----------|----------------------------------------------------------------|--------------------|------------------|
-| `tum`    | `time x y z qx qy qz qw`                                       | the time           | as given, `flu`  |
+| `tum`    | `time x y z qx qy qz qw`, or with commas                       | the time           | as given, `flu`  |
 | `kitti`  | 12 numbers, [R t] by rows                                      | 000000, 000001 ... | `rdf/rdf`        |
 | `euroc`  | CSV, `#timestamp [ns], p_RS_R_x [m], ...`                      | the time           | `flu/urf`        |
 | `airsim` | tabs, `TimeStamp POS_X ... Q_W Q_X Q_Y Q_Z ImageFile`          | the time           | as given, `flu`  |
@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from ovibjax.errors import InputError, refusal
 from ovibjax.features.images.pose_table import PoseOptions, Poses, read_table_of_poses
-from ovibjax.runtime.text_tables import ContentLines, number_of, quoted
+from ovibjax.runtime.text_tables import ContentLines, number_of, quoted, separator_of
 
 FORMS = ("table", "tum", "kitti", "euroc", "airsim", "colmap")
 
@@ -68,7 +68,8 @@ def _form(path: Path, text: str) -> str:
         return "colmap"
     if re.match(r"\s*#\s*timestamp\b[^\n]*p_RS_R_x", text):
         return "euroc"
-    first = next(iter(ContentLines(text)), "").split()
+    line = next(iter(ContentLines(text)), "")
+    first = _words(line, separator_of(line))
     if {"POS_X", "Q_W"} <= set(first):
         return "airsim"
     numbers = sum(number_of(word) is not None for word in first)
@@ -152,9 +153,10 @@ def _colmap(path: Path, text: str, front: str) -> Poses:
 def _numbers(path: Path, text: str, count: int) -> list[tuple[int, list[str], list[float]]]:
     """Lines of so many numbers."""
     lines = ContentLines(text)
+    separator = separator_of(next(iter(ContentLines(text)), ""))
     found = []
     for content in lines:
-        words = content.split()
+        words = _words(content, separator)
         numbers = [number_of(word) for word in words]
         if len(words) != count:
             raise refusal(path, f"{len(words)} values, expected {count}", lines.number)
@@ -163,6 +165,11 @@ def _numbers(path: Path, text: str, count: int) -> list[tuple[int, list[str], li
                 raise refusal(path, f"{quoted(word)} is not a number", lines.number)
         found.append((lines.number, words, [number for number in numbers if number is not None]))
     return found
+
+
+def _words(line: str, separator: str) -> list[str]:
+    """Cells of a line, between commas where the file has those."""
+    return [word.strip() for word in line.split(",")] if separator == "," else line.split()
 
 
 _READERS: dict[str, Callable[[Path, str], Poses]] = {"tum": _tum, "kitti": _kitti, "euroc": _euroc, "airsim": _airsim}

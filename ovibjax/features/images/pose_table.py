@@ -1,4 +1,4 @@
-"""Tables of poses with a line of names: CSV, tabs, semicolons with decimal commas; which column is what.
+"""Tables of poses with a line of names: CSV, tabs, semicolons, drawn with `|`, decimal commas; which column is what.
 
 | column                                  | what is in it                                               |
 |-----------------------------------------|-------------------------------------------------------------|
@@ -21,11 +21,13 @@ from datetime import datetime
 from pathlib import Path
 
 from ovibjax.errors import InputError, refusal
+from ovibjax.features.images.second_headings import SecondHeadings
 from ovibjax.runtime.text_tables import (
     ContentLines,
     Rows,
     cells_of,
     is_missing,
+    is_utf8,
     number_of,
     quoted,
     separator_of,
@@ -41,7 +43,7 @@ OPTIONAL = ("scene", "context", *VIEWS)
 NEEDED = "frame,x_m,y_m,z_m,yaw_deg (or yaw_rad, or qw,qx,qy,qz)"
 TIMES = ("time", "time_s", "timestamp")
 _KNOWN = ("frame", *POSITION, *YAW, *QUATERNION, *OPTIONAL)
-_SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}
+_SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "white space"}
 
 
 @dataclass(frozen=True)
@@ -122,18 +124,23 @@ def read_table_of_poses(path: Path, text: str, columns: Sequence[str] = (), orde
 
     Raises:
         InputError: no table, a column is missing, twice there or not known, or a cell is no number.
+
+    Warns:
+        Doubt: two columns of headings that nobody chose between disagree.
     """
     first = next(iter(ContentLines(text)), "")
     separator = separator_of(first)
     lines = ContentLines(text)
     rows: Rows = ((lines.number, cells) for cells in cells_of(path, lines, separator, strict=True))
     line, names = next(rows, (0, [""]))
-    where = _columns(path, line, names, columns)
+    where, spare = _columns(path, line, names, columns)
+    second = SecondHeadings(spare)
     by_time = _order_column(path, line, names, order)
     numbers = {name: where[name] for name in (*POSITION, *YAW, *QUATERNION) if name in where}
-    if separator in "; \t":
-        rows = with_points(path, rows, frozenset(numbers.values()))
-    ignored = [name for at, name in enumerate(names) if at not in (*where.values(), by_time)]
+    rows = with_points(path, rows, frozenset(numbers.values()))
+    ignored = [
+        name.encode(errors="replace").decode() for at, name in enumerate(names) if at not in (*where.values(), by_time)
+    ]
     not_read = f", not read {', '.join(ignored)[:80]}" if ignored else ""
     read = (name if names[at].lower() == name.lower() else f"{name} from {names[at]}" for name, at in where.items())
     times: list[str] = []
@@ -145,8 +152,11 @@ def read_table_of_poses(path: Path, text: str, columns: Sequence[str] = (), orde
         if len(cells) != len(names):
             raise refusal(path, f"{len(cells)} values for {len(names)} columns", line)
         _take(path, line, poses, {name: cells[at] for name, at in where.items()}, list(numbers))
+        if poses.yaw_rad:
+            second.compare(line, poses.yaw_rad[-1], cells)
         if by_time is not None:
             times.append(cells[by_time])
+    second.doubt_them(path, poses.turn[1])
     if by_time is not None:
         _arrange(path, poses, names[by_time], times, asked=order is not None)
     return poses
@@ -185,6 +195,9 @@ def _arrange(path: Path, poses: Poses, column: str, times: Sequence[str], asked:
 
 def _take(path: Path, line: int, poses: Poses, row: Mapping[str, str], numbers: Sequence[str]) -> None:
     """Append the pose of one row."""
+    for name, cell in row.items():
+        if not is_utf8(cell):
+            raise refusal(path, f"{name} is not UTF-8 text; save the file as UTF-8", line)
     found = {name: _number(path, line, name, row[name]) for name in numbers}
     wrong = next((name for name, value in found.items() if not math.isfinite(value)), "")
     if wrong:
@@ -206,8 +219,10 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
     return value
 
 
-def _columns(path: Path, line: int, names: Sequence[str], wanted: Sequence[str]) -> dict[str, int]:
-    """Where each known column is: what `--columns` says, else its own name in any case."""
+def _columns(
+    path: Path, line: int, names: Sequence[str], wanted: Sequence[str]
+) -> tuple[dict[str, int], dict[str, int]]:
+    """Where each known column is: what `--columns` says, else its own name in any case; and headings left over."""
     asked: dict[str, str] = {}
     for item in wanted:
         name, equals, column = item.partition("=")
@@ -242,4 +257,5 @@ def _columns(path: Path, line: int, names: Sequence[str], wanted: Sequence[str])
     # Several headings are one, as a recorder writes it; the one that somebody named, or else the plainest.
     turn = next((name for name in turns if name in asked), turns[0])
     unused = {*YAW, *QUATERNION} - (set(QUATERNION) if turn == "qw" else {turn})
-    return {name: at for name, at in where.items() if name not in unused}
+    spare = {} if turn in asked else {name: at for name, at in where.items() if name in unused}
+    return {name: at for name, at in where.items() if name not in unused}, spare

@@ -42,7 +42,9 @@ def read_table(
     """
     axes = axes_of(options.axes, stated=True) if options.axes is not None else None
     pattern = ImagePattern(images, cameras) if images is not None else None
-    poses = read_poses(path, read_text(path, _MAX_TABLE_BYTES, "table of poses"), options, cameras["Front"])
+    poses = read_poses(
+        path, read_text(path, _MAX_TABLE_BYTES, "table of poses", tolerant=True), options, cameras["Front"]
+    )
     if not poses.frame:
         raise refusal(path, "has no poses")
     _check_frames(path, poses)

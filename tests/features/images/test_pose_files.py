@@ -176,7 +176,7 @@ def test_a_missing_value_costs_its_frame_alone(missing, column):
         "frame,x_m,y_m,z_m,yaw_deg\r\n\r\n0,1,2,3,4\r\n1,1,2,3,4\r\n",
         'frame , x_m , y_m , z_m , yaw_deg , note\n0,1,2,3,4,\n1,1,2,3,4,"a, b"\n',
         "\tframe\tx_m\ty_m\tz_m\tyaw_deg\n\t0\t1\t2\t3\t4\n\t1\t1\t2\t3\t4\n",
-        "frame,x_m,y_m,z_m,yaw_deg,qw,qx,qy,qz\n0,1,2,3,4,0,0,0,0\n1,1,2,3,4,1,0,0,0\n",
+        "frame,x_m,y_m,z_m,yaw_deg,qw,qx,qy,qz\n0,1,2,3,4,0,0,0,0\n1,1,2,3,4,0.99939,0,0,0.0349\n",
     ],
 )
 def test_tables_from_the_field(text):
@@ -227,3 +227,12 @@ def test_rotations_that_are_none_cost_their_frame():
         assert [bool(wrong) for wrong in poses.wrong] == [True, False, True]
     with pytest.raises(InputError, match="--cameras Front=FOLDER"):
         poses_of(as_colmap([((0, 0, 0), 0.0)]), name="images.txt", front="cam0")
+
+
+@pytest.mark.parametrize("form", [None, "tum"])
+@pytest.mark.parametrize("comma", [",", ", "])
+def test_tum_with_commas(form, comma):
+    rows = ["1.5 1 2 3 0 0 0 1", "2.5 2 2 3 0 0 0.7071 0.7071"]
+    poses = poses_of("\n".join(rows).replace(" ", comma), PoseOptions(form=form), "poses.csv")
+    assert poses.frame == ["1.5", "2.5"] and poses.position == [(1, 2, 3), (2, 2, 3)]
+    assert motion(poses)[1] == pytest.approx([0, math.pi / 2])
