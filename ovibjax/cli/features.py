@@ -52,7 +52,8 @@ class Features:
     """Image encoder: embedded, clip (ViT-B/32 from the model cache), clip:FOLDER, clip:OWNER/NAME or onnx:FILE."""
     images: str | None = None
     """For poses: where images lie, relative to their file: {view} or {view:lower}, {frame} or {frame:06d}, {scene}, and
-    {file}, what the table's column of the view says, are filled in."""
+    {file}, what the table's column of the view says, are filled in. AirSim: 'images/{file}' with
+    --cameras Front=0 Back=4 ... takes each camera's photo from ImageFile; or 'images/img_{view}_{frame}.jpg'."""
     cameras: tuple[str, ...] = ()
     """What views are called in the data, where not Front Back Left Right Down: Front=cam0 Back=rear."""
     poses: str | None = None
@@ -64,7 +65,8 @@ class Features:
     timestamp, or else the table's own order."""
     axes: str | None = None
     """Which way x, y and z of the poses point, for the world and, after a slash, the body: three of f b l r u d, or of
-    e w n s u d. ned; enu/rdf is a camera looking along z; rdf is KITTI; lat-lon-alt are degrees."""
+    e w n s u d. ned; enu/rdf is a camera looking along z; rdf is KITTI, whose poses come out with x forward and z
+    up; lat-lon-alt are degrees, and yaw then a compass bearing (lon-lat-alt: from east towards north)."""
     views: Literal[4, 5] | None = None
     """5 (UAV) or 4 (UGV: without Down); by default 5 where there are images of Down."""
     strict: bool = False

@@ -14,7 +14,7 @@ been aligned to metres.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -113,9 +113,37 @@ def _euroc(path: Path, text: str) -> Poses:
 
 
 def _airsim(path: Path, text: str) -> Poses:
-    poses = read_table_of_poses(path, text, [f"{k}={v}" for k, v in _AIRSIM.items()])
+    columns = _AIRSIM | ({"Front": "ImageFile"} if "ImageFile" in text.partition("\n")[0] else {})
+    poses = read_table_of_poses(path, text, [f"{k}={v}" for k, v in columns.items()])
     poses.form = "AirSim recording (POS, Q)"
+    for cells in poses.cells:
+        cells["ImageFile"] = cells.pop("Front", "")
     return poses
+
+
+def name_recorded_files(path: Path, poses: Poses, cameras: Mapping[str, str]) -> None:
+    """Give each view of a recording the file of its camera among those of `ImageFile`, for `{file}`.
+
+    Args:
+        path: what to call the file of poses.
+        poses: those of AirSim; others stay as they are. Files are `img_<vehicle>_<camera>_<type>_<time>.png`, type 0 a
+            photo, with `;` between them.
+        cameras: what each view is called there.
+
+    Raises:
+        InputError: the first frame has no file of a camera; the message says what there is.
+    """
+    for row, cells in enumerate(poses.cells):
+        files = [name for name in re.split(r"[;,]", cells.pop("ImageFile", "")) if name]
+        for view, camera in cameras.items():
+            mine = [name for name in files if name.rsplit("_", 2)[0].endswith(f"_{camera}")]
+            mine.sort(key=lambda name: "0" not in name.split("_")[-2:-1])  # stable
+            if mine:
+                cells[view] = mine[0]
+            elif files and row == 0 and view != "Down":
+                has = f"ImageFile has no image of camera {camera!r} for {view}, but {', '.join(files)[:100]}"
+                ways = "--cameras Front=0 Back=4 ..., or name files yourself, --images 'img_{view}_{frame}.jpg'"
+                raise refusal(path, f"{has}: say which is which, {ways}", poses.line[row])
 
 
 def _colmap(path: Path, text: str, front: str) -> Poses:

@@ -11,7 +11,7 @@ from ovibjax.features.frames import CONTEXTS, MAX_ID_CHARS
 from ovibjax.features.images.axes import Axes, axes_of
 from ovibjax.features.images.folder import FolderFiles
 from ovibjax.features.images.image_pattern import EXAMPLE, ImagePattern, hint_at
-from ovibjax.features.images.pose_formats import read_poses
+from ovibjax.features.images.pose_formats import name_recorded_files, read_poses
 from ovibjax.features.images.pose_table import PoseOptions, Poses
 from ovibjax.features.images.source import MAX_MAGNITUDE, Frame, Skipped, Source, nothing_left
 from ovibjax.features.units import scale_doubt, seem_beyond_earth, seem_degrees, seem_geographic, seem_radians
@@ -49,6 +49,8 @@ def read_table(
         raise refusal(path, "has no poses")
     _check_frames(path, poses)
     pattern = pattern or _by_column(path, poses)
+    if "file" in pattern.fields:
+        name_recorded_files(path, poses, cameras)
     places = _places(path, pattern, poses)
     sizes = {image: size for place in places for image in place if (size := _size(path.parent / image)) is not None}
     n_views = n_views or (5 if any(place[4] in sizes for place in places) else 4)

@@ -136,3 +136,17 @@ def test_a_hint_at_accents(tmp_path):
         pytest.skip("this file system makes no difference")
     with pytest.raises(InputError, match="NFC, NFD"):
         open_source(table, "{view}/{frame}.jpg")
+
+
+def test_the_photos_that_a_recording_names(tmp_path):
+    head = "TimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_W\tQ_X\tQ_Y\tQ_Z\tImageFile\n"
+    rows = []
+    for frame in (17, 18):
+        files = [f"img__{camera}_0_{frame}9.png" for camera in range(4)]
+        for file in files:
+            write(tmp_path / "images" / file, encode(pixels(1)))
+        rows.append(f"{frame}\t{frame}\t2\t3\t1\t0\t0\t0\t{';'.join(files)}\n")
+    path = write(tmp_path / "airsim_rec.txt", (head + "".join(rows)).encode())
+    cameras = ("Front=0", "Back=1", "Left=2", "Right=3")
+    source, _ = frames_of(path, images="images/{file}", cameras=cameras)
+    assert [frame.images[3] for frame in source.frames] == ["images/img__3_0_179.png", "images/img__3_0_189.png"]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ovibjax.errors import InputError
 from ovibjax.features.images.axes import axes_of
-from ovibjax.features.images.pose_formats import read_poses
+from ovibjax.features.images.pose_formats import name_recorded_files, read_poses
 from ovibjax.features.images.pose_table import PoseOptions
 
 SHORT = PoseOptions(columns=("frame=id", "x_m=x", "y_m=y", "z_m=z", "yaw_deg=yaw"))
@@ -236,3 +236,25 @@ def test_tum_with_commas(form, comma):
     poses = poses_of("\n".join(rows).replace(" ", comma), PoseOptions(form=form), "poses.csv")
     assert poses.frame == ["1.5", "2.5"] and poses.position == [(1, 2, 3), (2, 2, 3)]
     assert motion(poses)[1] == pytest.approx([0, math.pi / 2])
+
+
+RECORDED = (
+    "VehicleName\tTimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_W\tQ_X\tQ_Y\tQ_Z\tImageFile\ndrone\t17\t1\t2\t3\t1\t0\t0\t0\t"
+)
+SHOTS = ["img_drone_0_1_99.pfm", "img_drone_0_0_99.png", "img_drone_4_0_99.png", "img_drone_2_0_99.png"]
+SHOTS += ["img_drone_front_right_0_99.png"]
+NAMES = {"Front": "0", "Back": "4", "Left": "2", "Right": "front_right", "Down": "3"}
+
+
+def test_a_recording_names_the_photo_of_every_camera():
+    poses = poses_of(RECORDED + ";".join(SHOTS), name="airsim_rec.txt")
+    name_recorded_files(Path("airsim_rec.txt"), poses, NAMES)
+    assert poses.cells == [{"Front": SHOTS[1], "Back": SHOTS[2], "Left": SHOTS[3], "Right": SHOTS[4]}]
+
+
+def test_a_recording_without_a_camera_says_what_there_is():
+    poses = poses_of(RECORDED + "img_0_17.jpg", name="airsim_rec.txt")
+    with pytest.raises(
+        InputError, match=r"line 2: ImageFile has no image of camera '0' for Front, but img_0_17\.jpg.*"
+    ):
+        name_recorded_files(Path("airsim_rec.txt"), poses, NAMES)
