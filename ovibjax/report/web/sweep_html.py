@@ -73,6 +73,7 @@ def _axis(dataset: xr.Dataset, axis: str) -> dict[str, Any]:
 
 def _best(dataset: xr.Dataset, metric: str, over: Over) -> list[dict[str, Any]]:
     """The points with the lowest and with the highest mean; nothing where all are equal, or there is no mean."""
+    dataset = dataset[[metric, "finished", "diverged"]]
     values, found = dataset[metric].values, []
     if not (values != values.ravel()[0]).any():
         return []
