@@ -63,7 +63,7 @@ class SweepRun:
     file: tyro.conf.Positional[Path]
     """The Python file."""
     out: Path
-    """The store, a folder ending in .zarr; members that it has are not computed again."""
+    """The store, a folder (NAME.zarr by custom); members that it has are not computed again."""
     axis: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = ()
     """Values in place of the file's, NAME=VALUE,VALUE; seed=0:5 is 0 1 2 3 4; a range as rate=log:0.1:3 for --sobol."""
     # The default is frozen, so that instances may share it.

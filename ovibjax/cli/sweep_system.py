@@ -32,7 +32,7 @@ class SweepSystem:
     """
 
     out: Path
-    """The store, a folder ending in .zarr; members that it has are not computed again."""
+    """The store, a folder (NAME.zarr by custom); members that it has are not computed again."""
     beta: tuple[str, ...] = ("1e-3",)
     """Weights of the rate term."""
     gamma: tuple[str, ...] = ("0.1",)

@@ -235,9 +235,12 @@ def _finish(
 def _require_threads(work: Work, path: Path | None) -> None:
     """Refuse to add members with other last bits than the same ones of a store would have."""
     if work.threads != pool_threads() and jax.default_backend() == "cpu":
+        advice = f"start with NPROC={work.threads} in the environment, or --threads {work.threads}"
+        if work.threads < work.devices:
+            advice = "leave --devices out, members run side by side without it, or choose another store"
         raise InputError(
             f"{path}: its members were computed by programs of {work.threads} threads, and bits depend on it; here are "
-            f"{pool_threads()}: start with NPROC={work.threads} in the environment, or --threads {work.threads}"
+            f"{pool_threads()}: {advice}"
         )
 
 

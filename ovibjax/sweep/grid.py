@@ -119,13 +119,15 @@ def make_grid(axes: Mapping[str, Any], zipped: Sequence[Sequence[str]] = ()) -> 
     for group in groups:
         grid = Grid({name: made[name] for name in group}, (group,))
         codes = [made[n].values if np.asarray(made[n].values).dtype.kind == "U" else grid.codes(n) for n in group]
-        seen = set()
+        seen: dict[Any, str] = {}
         for row, code in zip(
             zip(*(made[name].values for name in group), strict=True), zip(*codes, strict=True), strict=True
         ):
+            said = ", ".join(map(str, row))
             if code in seen:
-                raise InputError(f"{' and '.join(group)}: {', '.join(map(str, row))} is given twice")
-            seen.add(code)
+                as_what = "" if said == seen[code] else f", in 32 bits it is {seen[code]}"
+                raise InputError(f"{' and '.join(group)}: {said} is given twice{as_what}")
+            seen[code] = said
     return Grid(made, tuple(groups))
 
 

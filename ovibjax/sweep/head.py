@@ -73,6 +73,11 @@ def read_head(path: Path) -> tuple[Layout, dict[str, Any]]:
             raise InputError(
                 f"{path} has the format of before; bring it over: ovibjax sweep upgrade {path} --out NEW.zarr"
             )
+        if not (path / _HEAD).exists() and (path / "members").is_dir():
+            raise InputError(
+                f"{path}: {_HEAD} is missing, its members are there; repeat its command with another --out, and copy "
+                f"the {_HEAD} that it makes, or choose another path"
+            )
         head = json.loads((path / _HEAD).read_text(encoding="utf-8"))
         if head["format"] != FORMAT:
             raise InputError(
@@ -109,6 +114,8 @@ def refuse_other(
         found = ["its members are of an older version, whose program was another one, and can only be read"]
     else:
         found = [*_told(_compared(there[1]), _compared(here[1]))]
+        if there[1].get("execution") != here[1].get("execution"):  # which makes it another program
+            found = [words for words in found if words != _HASHED["program"]]
         found += differences(compared(there[0]), compared(here[0]))
     if found:
         raise OtherSweep(f"{path} holds another sweep: {'; '.join(found[:3])}; {advice}", path, here[1])

@@ -108,6 +108,14 @@ def together(tables: Iterable[np.ndarray], axes: Sequence[str]) -> np.ndarray | 
     return every if len(first) == len(every) else every[list(first.values())]
 
 
+def unequal(mine: np.ndarray, others: np.ndarray, axes: Sequence[str]) -> int:
+    """How many of other rows are among one's own with other outputs."""
+    at = {key: position for position, key in enumerate(row_keys(mine, axes))}
+    common = [(at[key], n) for n, key in enumerate(row_keys(others, axes)) if key in at]
+    outputs = [name for name in others.dtype.names or () if name.startswith("out.")]
+    return sum(any(mine[name][i].tobytes() != others[name][n].tobytes() for name in outputs) for i, n in common)
+
+
 def digests_of(rows: np.ndarray) -> list[bytes]:
     """Digest of the data that each row saw."""
     return [digest.tobytes() for digest in rows[DATA]]

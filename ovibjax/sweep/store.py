@@ -15,7 +15,7 @@ from typing import IO, Any, Self
 import numpy as np
 import xarray
 
-from ovibjax.errors import InputError
+from ovibjax.errors import InputError, doubt
 from ovibjax.runtime.locks import WITHOUT_LOCKS
 from ovibjax.runtime.progress import console
 from ovibjax.sweep.asked import announce, asked_grids
@@ -26,7 +26,7 @@ from ovibjax.sweep.disk import lock_of, writing
 from ovibjax.sweep.grid import Grid
 from ovibjax.sweep.head import OtherSweep, create, read_head, refuse_other
 from ovibjax.sweep.layout import Layout, columns_of
-from ovibjax.sweep.members import digests_of, grid_keys, name_clash, names_of, row_keys, together
+from ovibjax.sweep.members import digests_of, grid_keys, name_clash, names_of, row_keys, together, unequal
 from ovibjax.sweep.writer import Writer
 
 _ADVICE = "choose another --out, keep both (--keep-both), or repeat the first command"
@@ -169,6 +169,9 @@ class Store:
             clash = name_clash(known, {**known, **names_of(rows, name)})
             if clash is not None:
                 raise InputError(f"{source}: of {name}, {clash}; they cannot be merged")
+        other = 0 if mine is None else unequal(mine, rows, axes)
+        if other:
+            doubt(source, f"{other} members are in {self.path} with other bits (another processor?); those stay")
         new = [n for n, key in enumerate(keys) if key not in held]
         if new:
             self.add(rows[new])

@@ -1,5 +1,6 @@
 """One sweep as work that can be done batch by batch, here or in another process."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property, lru_cache, partial
@@ -8,9 +9,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from ovibjax.runtime.hardware import instructions
 from ovibjax.sweep.grid import Grid
 from ovibjax.sweep.members import data_digest, rows_of
 from ovibjax.sweep.program import Batch, MemberFn, Program, batch_function
+
+_HARMLESS = ("--xla_force_host_platform_device_count", "--xla_dump", "--xla_cpu_parallel_codegen_split_count")
+"""Flags on which no bit depends (devices share a batch, not a member)."""
 
 PADDING = -1
 """Entry of a lot that holds no member."""
@@ -202,6 +207,10 @@ def identity(work: Work, settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def environment(threads: int) -> dict[str, Any]:
-    """The part of a configuration that is not of the sweep; accelerators do not care for a CPU's threads."""
+    """The part of a configuration that is not of the sweep; accelerators do not care for a CPU's threads and kind."""
     platform = jax.default_backend()
-    return {"jax": jax.__version__, "platform": platform} | ({"threads": threads} if platform == "cpu" else {})
+    found: dict[str, Any] = {"jax": jax.__version__, "platform": platform}
+    if platform == "cpu":
+        found |= {"threads": threads, "instructions": instructions()}
+    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(_HARMLESS)]
+    return found | ({"xla_flags": sorted(flags)} if flags else {})

@@ -7,7 +7,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ovibjax.errors import InputError
+from ovibjax.errors import Doubt, InputError
+from ovibjax.sweep.blocks import write_block
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.merging import merge
 from ovibjax.sweep.store import open_dataset
@@ -141,6 +142,20 @@ def test_stores_that_overlap_and_grids_that_differ(tmp_path):
     same(grown, whole)
     # Into one of them.
     assert merge([tmp_path / "b.zarr"], tmp_path / "a.zarr") == (11, 5)
+
+
+def test_members_that_two_stores_know_with_other_bits_are_told(tmp_path):
+    for name in ("a.zarr", "b.zarr"):
+        run(small, AXES, DATA, store=tmp_path / name)
+    block = next((tmp_path / "b.zarr" / "members").glob("*.npy"))
+    rows = np.load(block)
+    output = next(name for name in rows.dtype.names if name.startswith("out."))
+    rows[output][0] += 1
+    block.unlink()
+    write_block(block.parent, rows)
+    with pytest.warns(Doubt, match=r"b\.zarr: 1 members are in .*c\.zarr with other bits"):
+        merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
+    same(open_dataset(tmp_path / "c.zarr"), open_dataset(tmp_path / "a.zarr"))
 
 
 def test_what_cannot_be_merged_is_refused_and_nothing_changed(tmp_path):
