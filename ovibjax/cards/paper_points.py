@@ -14,6 +14,7 @@ from ovibjax.cards.indoor_paper import PAPER as PAPER_INDOOR
 from ovibjax.cards.retrieval_claims import PAPER as PAPER_RETRIEVAL
 from ovibjax.cards.retrieval_claims import PAPER_M as PAPER_RETRIEVAL_M
 from ovibjax.cards.scheduling_drawing import NAMES as RULES
+from ovibjax.cards.scheduling_study import PAPER_TIES
 from ovibjax.control.environment import PAPER_REQUESTS
 from ovibjax.report.claims import Interval, interval
 from ovibjax.report.comparison import Pair
@@ -108,7 +109,7 @@ def points() -> Iterator[Point]:
             where, said = {"policy": policy}, f"{POLICIES[policy]}: {word} route error"
             yield Point("request_control/table.csv", where, metric, said, "m", number)
     yield Point("request_control/table.csv", {"policy": "voi"}, "requests", "VOI-Control: requests", "", PAPER_REQUESTS)
-    high = {"congestion": "high", "ties": "arrival"}
+    high = {"congestion": "high", "ties": PAPER_TIES}
     for metric, by_rule in PAPER_TOP.items():
         for rule, number in by_rule.items():
             where, (word, unit) = high | {"policy": rule, "scope": "top10"}, _QUEUE[metric]

@@ -9,6 +9,8 @@ from ovibjax.cards.compression_drawing import NAMES as METHODS
 from ovibjax.cards.control_drawing import MODEL_NAMES
 from ovibjax.cards.control_drawing import NAMES as POLICIES
 from ovibjax.cards.scheduling_drawing import NAMES as RULES
+from ovibjax.cards.scheduling_study import PAPER_TIES
+from ovibjax.control.predictor import PRIORS
 from ovibjax.errors import InputError
 from ovibjax.features.images.codecs import NAMES as CODECS
 from ovibjax.report.sections import read_table
@@ -105,13 +107,25 @@ TABLES: dict[str, TableStudy] = {
         start={
             "x": "drift_scale",
             "lines": "policy",
-            "fixed": {"model": "rate", "budget_kb": "2.1", "protocol": "paper", "correction": "replace"},
+            "fixed": {"model": "rate", "budget_kb": "2.1", "protocol": "paper", "correction": "replace"}
+            | {"recode": "False", "prior": PRIORS[0]},
             "show": [POLICIES[name] for name in ("voi", "uncertainty", "budgeted_periodic", "random", "oracle_action")],
         },
         labels={"budget_kb": "budget (KB)", "drift_scale": "drift scale", "gate_sigma": "gate (σ)", "inf": "none"}
         | {"tuned_uncertainty": "Uncertainty, tuned"}
+        | {"recode": "references coded too", "prior": "expected residual"}
         | POLICIES
         | MODEL_NAMES,
+        optional=("recode", "prior"),
+    ),
+    "request_control/calibration.csv": TableStudy(
+        "calibration",
+        "Request control: claimed and realised risk",
+        ("routes", "action"),
+        {"claimed_rms_m": "claimed risk, rms (m)", "realised_rms_m": "error, rms (m)"}
+        | {"median_claimed_m": "claimed risk, median (m)", "median_m": "error, median (m)"},
+        repetition="",
+        start={"x": "action", "lines": "routes"},
     ),
     "view_rate_selection/table.csv": TableStudy(
         "views",
@@ -139,7 +153,7 @@ TABLES: dict[str, TableStudy] = {
         start={
             "x": "congestion",
             "lines": "policy",
-            "fixed": {"ties": "arrival", "scope": "most valuable tenth"},
+            "fixed": {"ties": PAPER_TIES, "scope": "most valuable tenth"},
         },
         labels=_AXES | RULES | {"policy": "rule"},
     ),

@@ -21,15 +21,20 @@ def test_every_figure_is_in_one_part():
     assert sorted(name for names in PARTS.values() for name in names) == card_names()
 
 
-def test_every_table_that_is_named_is_there_and_can_be_explored():
+def test_every_table_that_is_there_can_be_explored():
     studies = {study.name: study for study in result_studies(RESULTS)}
-    assert list(studies) == [spec.name for spec in TABLES.values()]
+    assert len(studies) > 12 and list(studies) == [
+        spec.name for file, spec in TABLES.items() if (RESULTS / file).is_file()
+    ]
     for name, study in studies.items():
         start = study.start
         texts = {axis["name"]: axis["texts"] for axis in study.packed()["axes"]}
         assert {start.get("x"), start.get("lines")} - {None} <= set(texts), name
         for axis, value in start.get("fixed", {}).items():
-            assert value in texts[axis], f"{name}: {value} is no value of {axis}"
+            optional = next(spec.optional for spec in TABLES.values() if spec.name == name)
+            assert value in texts.get(axis, [value] if axis in optional else []), (
+                f"{name}: {value} is no value of {axis}"
+            )
         assert set(start.get("show", ())) <= set(texts.get(start.get("lines"), ())), name
         assert start.get("metric", next(iter(study.metrics))) in study.metrics
 
@@ -41,6 +46,8 @@ def test_every_point_of_the_paper_has_a_counterpart():
     claims = json.loads((RESULTS / "scalable_compression" / "claims.json").read_text())
     assert any(error.ours.text() in claim["ours"] for claim in claims) and error.paper == 9.31
     assert pairs["scalable_compression", "O-VIB: payload at k = 35"].ours.mean == pytest.approx(160 / 1024)
+    rule = pairs["multi_client", "MaxWeight: edge p95, most valuable tenth, high congestion"]
+    assert rule.paper == 142.4 and round(rule.ours.mean) == 116  # under the ties that the claims are judged under
     stated = pairs["real_scene", "UAV, O-VIB-8: mean"].ours
     assert (stated.mean, stated.half) == (0.243, 0.022)
 

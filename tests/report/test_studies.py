@@ -67,6 +67,15 @@ def test_a_table_of_another_form_is_refused(rows):
         SPEC.study(rows)
 
 
+def test_every_row_is_a_point_where_nothing_is_repeated():
+    spec = TableStudy("one", "One", ("k",), {"error_m": "error (m)"}, repetition="", optional=("recode",))
+    rows = rows_of(k=[8, 8], error_m=[1.0, 2.0], recode=["False", "True"])
+    study = spec.study(rows)
+    assert list(study.axes) == ["k", "recode"] and study.mean["error_m"].tolist() == [1.0, 2.0] and study.over == ""
+    with pytest.raises(InputError, match="several rows for one value of k"):
+        spec.study(rows_of(k=[8, 8], error_m=[1.0, 2.0]))
+
+
 def test_a_sweep_has_the_means_of_its_table():
     results = made_results()
     found = list(studies_of(results))

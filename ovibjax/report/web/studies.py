@@ -90,11 +90,13 @@ class TableStudy:
         title: see `Study`.
         axes: columns that say where a row was measured.
         metrics: label by column that says what was measured.
-        repetition: column of independent repetitions; rows that agree in it and in the axes are averaged first.
+        repetition: column of independent repetitions; rows that agree in it and in the axes are averaged first. Empty
+            where every row is a point.
         half: what the name of the column of a metric's half-width ends in, where the table holds means; then there is
             no repetition.
         start: see `Study`.
         labels: see `Study`.
+        optional: axes that the table may lack.
     """
 
     name: str
@@ -105,6 +107,7 @@ class TableStudy:
     half: str = ""
     start: Mapping[str, Any] = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)
+    optional: tuple[str, ...] = ()
 
     def study(self, rows: Sequence[Mapping[str, str]]) -> Study:
         """The study of a table.
@@ -116,33 +119,39 @@ class TableStudy:
             Its study; metrics that the table lacks are left out.
 
         Raises:
-            InputError: the table is empty, or lacks an axis or all metrics.
+            InputError: the table is empty, lacks an axis or all metrics, or has several rows where there is to be one.
         """
+        axes = (*self.axes, *(axis for axis in self.optional if rows and axis in rows[0]))
         lacking = [axis for axis in self.axes if not rows or axis not in rows[0]]
         found = {name: label for name, label in self.metrics.items() if rows and name in rows[0]}
         if lacking or not found:
             raise InputError(f"{self.name}: the table has no column {', '.join(lacking or self.metrics)}")
-        values = {axis: _in_order([row[axis] for row in rows]) for axis in self.axes}
+        values = {axis: _in_order([row[axis] for row in rows]) for axis in axes}
         place = {axis: {_text(value): i for i, value in enumerate(known)} for axis, known in values.items()}
         groups: dict[tuple[int, ...], dict[str, list[Mapping[str, str]]]] = {}
-        for i, row in enumerate(rows):
-            point = tuple(place[axis][_text(_read(row[axis]))] for axis in self.axes)
-            repetition = row.get(self.repetition, str(i)) if not self.half else ""
-            groups.setdefault(point, {}).setdefault(repetition, []).append(row)
+        for row in rows:
+            point = tuple(place[axis][_text(_read(row[axis]))] for axis in axes)
+            groups.setdefault(point, {}).setdefault(row[self.repetition] if self._repeated else "", []).append(row)
+        if not self._repeated and any(len(group[""]) > 1 for group in groups.values()):
+            raise InputError(f"{self.name}: the table has several rows for one value of {', '.join(axes)}")
         spans = {name: [self._span(group, name) for group in groups.values()] for name in found}
         return Study(
             self.name,
             self.title,
             values,
             found,
-            np.array(list(groups), np.int64).reshape(len(groups), len(self.axes)),
+            np.array(list(groups), np.int64).reshape(len(groups), len(axes)),
             {name: np.array([mean for mean, _ in both]) for name, both in spans.items()},
             {name: np.array([half for _, half in both]) for name, both in spans.items()},
             np.array([len(group) for group in groups.values()]),
-            f"{self.repetition}s" if self.repetition and not self.half else "",
+            f"{self.repetition}s" if self._repeated else "",
             self.start,
             self.labels,
         )
+
+    @property
+    def _repeated(self) -> bool:
+        return bool(self.repetition) and not self.half
 
     def _span(self, group: Mapping[str, Sequence[Mapping[str, str]]], metric: str) -> tuple[float, float]:
         """Mean and half-width at one point."""
