@@ -54,11 +54,15 @@ def scale_doubt(position: Array) -> str:
     """
     if len(position) < _FEW or seem_beyond_earth(position):
         return ""
-    order, extent = sequence_of(position, np.zeros(len(position), np.int32)), np.ptp(position, axis=0).max()
+    flat = position[:, :2]  # altitude is in metres where the rest is in degrees
+    order, extent = (
+        sequence_of(np.pad(flat, ((0, 0), (0, 1))), np.zeros(len(flat), np.int32)),
+        np.ptp(flat, axis=0).max(),
+    )
     if order.is_drive and order.step_m > _STRIDE_M:
         return f"{order.step_m:.4g} from frame to frame (median): positions may be in centimetres, not metres"
     # Written with five decimals or more, as degrees are and a robot that stands still is not.
-    fine = (np.abs(position - np.round(position, 4)) > 1e-9).any()
+    fine = (np.abs(flat - np.round(flat, 4)) > 1e-9).any()
     if order.is_drive and 0 < extent < _SPECK_M and fine:
         return f"all of it lies within {extent:.2g}: positions may be degrees of latitude and longitude, not metres"
     return ""
@@ -79,7 +83,9 @@ def seem_radians(position: Array, yaw_deg: Array) -> bool:
         return False
     as_radians, as_degrees = _follows(position, yaw_deg), _follows(position, np.radians(yaw_deg))
     if peak > _TURN + 0.01:  # several laps, unwrapped as odometry leaves them; or degrees, which rarely agree by chance
-        return as_radians > 0.95 and as_degrees < 0.8
+        # A compass turns the other way: in which unit is another question than which way round.
+        as_radians = max(as_radians, _follows(position, -yaw_deg))
+        return as_radians > 0.95 and max(as_degrees, _follows(position, -np.radians(yaw_deg))) < 0.8
     if as_radians > 0.9 > as_degrees:
         return True
     # Headings in every direction end at a half or a full turn, where a jitter of degrees thins out.

@@ -83,7 +83,8 @@ def test_radians_that_go_on_over_the_laps_are_told(laps, backwards):
     """Yaw of odometry is not wrapped: pi/2 to 14 rad under a column of degrees."""
     position, heading = circle(400, laps=laps)
     position, yaw = position * (1, backwards, 1), heading * backwards
-    assert seem_radians(position, yaw) and not seem_radians(position, np.degrees(yaw))
+    for turned in (yaw, -10 - yaw):  # from x towards y, or as a compass
+        assert seem_radians(position, turned) and not seem_radians(position, np.degrees(turned))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(8, 300))
@@ -107,8 +108,9 @@ def test_coordinates_on_earth_raise_no_doubt(metres):
 )
 def test_a_drive_of_odd_size_is_named(of_metres, words):
     for position in (circle(60)[0], wavy(60)[0]):
-        odd = scale_doubt(position * of_metres)
-        assert words in odd and bool(odd) == bool(words)
+        for climb in (0.0, 0.5):
+            odd = scale_doubt(position * (of_metres, of_metres, 1) + np.outer(climb * np.arange(60), (0, 0, 1)))
+            assert words in odd and bool(odd) == bool(words)
 
 
 def test_places_in_no_order_and_far_apart_raise_no_doubt():
