@@ -15,7 +15,8 @@ import numpy as np
 from ovibjax.errors import InputError
 from ovibjax.scheduling.requests import NEVER, Numbers, Requests, RequestTrace, check, is_concrete
 from ovibjax.scheduling.rules import BY_CLIENT, POLICIES, RULES, Queue, SchedulerParams, default_params
-from ovibjax.scheduling.ticks import SplitTrace, sort_requests, split_times
+from ovibjax.scheduling.stretches import first_come
+from ovibjax.scheduling.ticks import SplitTrace, sort_requests, split_on_host, split_times
 from ovibjax.scheduling.ties import served_first
 
 __all__ = ["POLICIES", "ReplayResult", "RequestTrace", "default_params", "replay", "served_order", "waits"]
@@ -79,12 +80,12 @@ def waits(trace: RequestTrace, policy: str, params: SchedulerParams) -> jax.Arra
     if policy not in RULES:
         raise InputError(f"policy {policy!r} is unknown; it must be one of {', '.join(POLICIES)}")
     check(trace)
-    return _waits(split_times(trace), params, policy)
+    return _waits(split_on_host(trace), params, policy)
 
 
 @partial(jax.jit, static_argnames="policy")
-def _waits(trace: SplitTrace, params: SchedulerParams, policy: str) -> jax.Array:
-    requests = sort_requests(trace)
+def _waits(trace: RequestTrace | SplitTrace, params: SchedulerParams, policy: str) -> jax.Array:
+    requests = sort_requests(split_times(trace))
     start = served_order(requests, policy, params)
     return to_trace_order(requests, start)
 
@@ -107,18 +108,7 @@ def served_order(requests: Requests, policy: str, params: SchedulerParams) -> ja
     Returns:
         [J] int32 ticks.
     """
-    return _first_come(requests) if policy == "fifo" else served_by(requests, (policy,), jnp.int32(0), params)
-
-
-def _first_come(requests: Requests) -> jax.Array:
-    """FIFO without a search: each request starts when it has arrived and the one before is done."""
-
-    def step(free: jax.Array, request: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        ready, service = request
-        start = jnp.maximum(free, ready)
-        return start + service, start
-
-    return jax.lax.scan(step, jnp.int32(0), (requests.ready, requests.service))[1]
+    return first_come(requests) if policy == "fifo" else served_by(requests, (policy,), jnp.int32(0), params)
 
 
 class _State(NamedTuple):

@@ -16,11 +16,13 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 
 from ovibjax.errors import InputError
+from ovibjax.runtime.computed_once import computed_once
 from ovibjax.scheduling.lanes import broadcast_params, lane_waits
 from ovibjax.scheduling.queue_replay import served_by, served_order, to_trace_order
 from ovibjax.scheduling.requests import Requests, RequestTrace, check
 from ovibjax.scheduling.rules import POLICIES, SchedulerParams
-from ovibjax.scheduling.ticks import SplitTrace, sort_requests, split_times
+from ovibjax.scheduling.stretches import first_come
+from ovibjax.scheduling.ticks import SplitTrace, sort_requests, split_on_host, split_times
 
 _LANES = 1024
 _FEW_LANES = 16  # fewer settings are replayed one by one, which compiles less
@@ -101,14 +103,16 @@ def _share(traces: RequestTrace, context: Any, params: SchedulerParams, block: A
     params = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), params)._replace(ties=ties)
     # Inside a program that already shares its work among the devices, each has its part.
     shared_already = bool(jax.sharding.get_abstract_mesh().axis_names)
-    return _among_devices(
-        split_times(traces), context, params, block, 1 if shared_already else len(jax.local_devices())
-    )
+    devices = 1 if shared_already else len(jax.local_devices())
+    return _among_devices(split_on_host(traces), context, params, block, devices)
 
 
 @partial(jax.jit, static_argnames=("block", "devices"))
-def _among_devices(traces: SplitTrace, context: Any, params: SchedulerParams, block: Any, devices: int) -> Any:
+def _among_devices(
+    given: RequestTrace | SplitTrace, context: Any, params: SchedulerParams, block: Any, devices: int
+) -> Any:
     """A block of work on all traces, whose outputs have leading axis R, shared among the local devices."""
+    traces = split_times(given)
     n_traces = traces.valid.shape[0]
     if devices == 1 or n_traces == 1:
         return block(traces, context, params)
@@ -132,6 +136,9 @@ class _Grid:
 
     def __call__(self, traces: SplitTrace, context: Any, params: SchedulerParams) -> Any:
         n_lanes = _settings(params)
+        if self.policy == "fifo" and self.summary is None:
+            once = jax.vmap(_first_come)(traces)  # traces side by side: no setting concerns them
+            return jnp.broadcast_to(once[:, None], (once.shape[0], n_lanes, once.shape[1]))
         width = min(self.lanes, n_lanes)
         chunks = -(-n_lanes // width)
         # Equal chunks, the last setting repeated: a remainder would be a second program inside the first.
@@ -144,10 +151,15 @@ class _Grid:
             trace, about = jax.tree.map(lambda leaf: leaf[row], (traces, context))
             chosen = _chosen(params, index)
             wait_ms = replay(sort_requests(trace), chosen, self.policy, width)
-            return wait_ms if self.summary is None else jax.vmap(self.summary, (None, 0, axes))(about, wait_ms, chosen)
+            if self.summary is None:
+                return wait_ms
+            by_lane = computed_once(number >= 0, jnp.transpose, wait_ms)
+            return jax.vmap(self.summary, (None, 0, axes))(about, by_lane, chosen)
 
         n_traces = traces.valid.shape[0]
         results = jax.lax.map(one_chunk, jnp.arange(n_traces * chunks, dtype=jnp.int32))
+        if self.summary is None:
+            results = jnp.swapaxes(results, 1, 2)
         return jax.tree.map(lambda leaf: leaf.reshape(n_traces, chunks * width, *leaf.shape[2:])[:, :n_lanes], results)
 
 
@@ -205,14 +217,20 @@ def _concerns(rule: str, params: SchedulerParams) -> bool:
     return _orders(rule, params) or any(leaf.ndim for leaf in params.value)
 
 
+def _first_come(trace: SplitTrace) -> jax.Array:
+    """Waits [J] under FIFO."""
+    requests = sort_requests(trace)
+    return to_trace_order(requests, first_come(requests))
+
+
 def _one_by_one(requests: Requests, params: SchedulerParams, policy: str, n_lanes: int) -> jax.Array:
-    """Waits [L, J] by the plain replay; once for all lanes where nothing that is swept changes the order."""
+    """Waits [J, L] by the plain replay; once for all lanes where nothing that is swept changes the order."""
 
     def waits(chosen: SchedulerParams) -> jax.Array:
         return to_trace_order(requests, served_order(requests, policy, chosen))
 
     every = broadcast_params(params, n_lanes)
     if _orders(policy, params):
-        return jax.lax.map(waits, every)
+        return jax.lax.map(waits, every).T
     once = waits(jax.tree.map(lambda leaf: leaf[0], every))
-    return jnp.broadcast_to(once[None], (n_lanes, once.size))
+    return jnp.broadcast_to(once[:, None], (once.size, n_lanes))
