@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.errors import InputError
-from ovibjax.scheduling.requests import NEVER, Numbers, Requests, RequestTrace, check, is_concrete
+from ovibjax.scheduling.requests import Numbers, Requests, RequestTrace, check, is_concrete
 from ovibjax.scheduling.rules import BY_CLIENT, POLICIES, RULES, Queue, SchedulerParams, default_params
-from ovibjax.scheduling.stretches import first_come
+from ovibjax.scheduling.stretches import alone, first_come
 from ovibjax.scheduling.ticks import SplitTrace, sort_requests, split_on_host, split_times
 from ovibjax.scheduling.ties import served_first
 
@@ -120,8 +120,43 @@ class _State(NamedTuple):
     pending: jax.Array
 
 
+def _choose(
+    requests: Requests,
+    rules: tuple[str, ...],
+    which: jax.Array,
+    params: SchedulerParams,
+    state: _State,
+    offset: jax.Array,
+    width: int,
+) -> jax.Array:
+    """Position of the request to serve, of `width` requests from `offset` on."""
+
+    def part(leaf: jax.Array) -> jax.Array:
+        return jax.lax.dynamic_slice_in_dim(leaf, offset, width) if leaf.ndim else leaf
+
+    shown: Requests = jax.tree.map(part, requests)
+    waiting = (part(state.start) < 0) & (shown.ready <= state.clock)
+    head = waiting & ((shown.previous < 0) | (state.start[shown.previous] >= 0))
+    # Rules by client carry a counter for each request, the others none.
+    backlog = state.pending[shown.group].astype(jnp.float32)
+    queue = Queue(shown, state.clock, waiting, head, backlog, jnp.arange(width, dtype=jnp.int32))
+    choices = [RULES[rule] for rule in rules]
+    priority = jax.lax.switch(which, choices, queue, params) if len(choices) > 1 else choices[0](queue, params)
+    return offset + served_first(priority, shown.client, queue.arrival, params.ties)
+
+
+def _settled(requests: Requests, in_turn: jax.Array, rules: tuple[str, ...], which: jax.Array) -> jax.Array:
+    """[J] bool, requests that are served as under FIFO: those that contend with no other, or all of them."""
+    settled = alone(requests, in_turn)
+    if "fifo" in rules:
+        settled = settled | (requests.valid & (which == rules.index("fifo")))
+    return settled
+
+
 def served_by(requests: Requests, rules: tuple[str, ...], which: jax.Array, params: SchedulerParams) -> jax.Array:
     """Start of each service under one of several rules: one program for all of them.
+
+    What contends with nothing is served as under FIFO; decisions are taken for the rest.
 
     Args:
         requests: sorted, leaves [J].
@@ -132,38 +167,26 @@ def served_by(requests: Requests, rules: tuple[str, ...], which: jax.Array, para
     Returns:
         [J] int32 ticks.
     """
-    choices = [RULES[rule] for rule in rules]
     by_client = any(rule in BY_CLIENT for rule in rules)
     size = requests.ready.size
     window = min(size, _WINDOW)
-
-    def choose(state: _State, offset: jax.Array, width: int) -> jax.Array:
-        """Position of the request to serve, of `width` requests from `offset` on."""
-
-        def part(leaf: jax.Array) -> jax.Array:
-            return jax.lax.dynamic_slice_in_dim(leaf, offset, width) if leaf.ndim else leaf
-
-        shown: Requests = jax.tree.map(part, requests)
-        waiting = (part(state.start) < 0) & (shown.ready <= state.clock)
-        head = waiting & ((shown.previous < 0) | (state.start[shown.previous] >= 0))
-        backlog = state.pending[shown.group].astype(jnp.float32)
-        queue = Queue(shown, state.clock, waiting, head, backlog, jnp.arange(width, dtype=jnp.int32))
-        priority = jax.lax.switch(which, choices, queue, params) if len(choices) > 1 else choices[0](queue, params)
-        return offset + served_first(priority, shown.client, queue.arrival, params.ties)
+    in_turn = first_come(requests)
+    settled = _settled(requests, in_turn, rules, which)
+    choose = partial(_choose, requests, rules, which, params)
 
     def admit(state: _State) -> _State:
         """Count the request that arrives next."""
-        pending = state.pending.at[requests.group[state.arrived]].add(1) if by_client else state.pending
+        waits = (~settled[state.arrived]).astype(jnp.int32)
+        pending = state.pending.at[requests.group[state.arrived]].add(waits) if by_client else state.pending
         return state._replace(arrived=state.arrived + 1, pending=pending)
 
     def arrives(state: _State) -> jax.Array:
         return (state.arrived < size) & (requests.ready[state.arrived] <= state.clock)
 
-    def step(state: _State, number: jax.Array) -> tuple[_State, None]:
+    def step(_: jax.Array, state: _State) -> _State:
         first = jnp.argmax(state.start < 0).astype(jnp.int32)
-        # When only padding is left the clock stops a tick before it arrives, and nothing is written.
-        soonest = jnp.minimum(requests.ready[first], NEVER - 1)
-        state = state._replace(clock=jnp.maximum(state.clock, soonest))
+        # Those before it are served, so the server is free no sooner than under FIFO.
+        state = state._replace(clock=jnp.maximum(state.clock, in_turn[first]))
         state = jax.lax.while_loop(arrives, admit, state)
         offset = jnp.minimum(first, size - window)
         chosen = jax.lax.cond(
@@ -172,10 +195,10 @@ def served_by(requests: Requests, rules: tuple[str, ...], which: jax.Array, para
             lambda: choose(state, jnp.int32(0), size),
         )
         pending = state.pending.at[requests.group[chosen]].add(-1) if by_client else state.pending
-        target = jnp.where(number < requests.total, chosen, size)
-        start = state.start.at[target].set(state.clock, mode="drop")
-        return _State(state.clock + requests.service[chosen], start, state.arrived, pending), None
+        start = state.start.at[chosen].set(state.clock)
+        return _State(state.clock + requests.service[chosen], start, state.arrived, pending)
 
     none = jnp.zeros(size if by_client else 1, jnp.int32)
-    state = _State(jnp.int32(0), jnp.full(size, -1, jnp.int32), jnp.int32(0), none)
-    return jax.lax.scan(step, state, jnp.arange(size, dtype=jnp.int32))[0].start
+    state = _State(jnp.int32(0), jnp.where(settled, in_turn, -1), jnp.int32(0), none)
+    decisions = requests.total - jnp.sum(settled.astype(jnp.int32))
+    return jax.lax.fori_loop(0, decisions, step, state).start

@@ -146,11 +146,13 @@ class _Grid:
         replay = lane_waits if self.policy in SWEPT and width >= _FEW_LANES else _one_by_one
         axes = jax.tree.map(lambda leaf: 0 if leaf.ndim else None, params)
 
+        sorted_once = jax.lax.map(sort_requests, traces)
+
         def one_chunk(number: jax.Array) -> Any:
             row, index = number // chunks, fill[number % chunks]
-            trace, about = jax.tree.map(lambda leaf: leaf[row], (traces, context))
+            requests, about = jax.tree.map(lambda leaf: leaf[row], (sorted_once, context))
             chosen = _chosen(params, index)
-            wait_ms = replay(sort_requests(trace), chosen, self.policy, width)
+            wait_ms = replay(requests, chosen, self.policy, width)
             if self.summary is None:
                 return wait_ms
             by_lane = computed_once(number >= 0, jnp.transpose, wait_ms)
@@ -176,11 +178,12 @@ class _Rules:
             (n, p) for n, rule in enumerate(self.rules) for p in range(settings if _concerns(rule, params) else 1)
         ]
         which, setting = (jnp.array(column, jnp.int32) for column in zip(*replays, strict=True))
+        sorted_once = jax.lax.map(sort_requests, traces)
 
         def one(number: jax.Array) -> Any:
             row, replay = number // len(replays), number % len(replays)
-            trace, about = jax.tree.map(lambda leaf: leaf[row], (traces, context))
-            requests, chosen = sort_requests(trace), _chosen(params, setting[replay])
+            requests, about = jax.tree.map(lambda leaf: leaf[row], (sorted_once, context))
+            chosen = _chosen(params, setting[replay])
             start = served_by(requests, self.rules, which[replay], chosen)
             return self.summary(about, to_trace_order(requests, start), chosen)
 

@@ -59,22 +59,33 @@ def in_closed_form(ready: jax.Array, service: jax.Array) -> jax.Array:
     return before + jax.lax.cummax(ready - before)
 
 
-def contended(requests: Requests, start: jax.Array) -> Stretches:
-    """Stretches of a trace in which the order of service is open.
+def openings(requests: Requests, start: jax.Array) -> jax.Array:
+    """Which requests are the first of a stretch.
 
     Args:
         requests: sorted, leaves [J].
         start: [J] ticks, from `first_come`.
 
     Returns:
-        The stretches.
+        [J] bool; true for padding.
     """
-    size = start.size
-    place = jnp.arange(size, dtype=jnp.int32)
     shortest = jnp.min(jnp.where(requests.valid, requests.service, NEVER))
     # In whatever order, the service that ends a stretch begins at least the shortest service before its end.
     done = jnp.concatenate([jnp.full(1, -1, jnp.int32), (start + requests.service)[:-1]])
-    opens = requests.ready > done - shortest
+    return requests.ready > done - shortest
+
+
+def alone(requests: Requests, start: jax.Array) -> jax.Array:
+    """[J] bool, which requests contend with no other; arguments as in `openings`."""
+    opens = openings(requests, start)
+    return opens & jnp.concatenate([opens[1:], jnp.ones(1, bool)]) & requests.valid
+
+
+def contended(requests: Requests, start: jax.Array) -> Stretches:
+    """Stretches of a trace in which the order of service is open; arguments as in `openings`."""
+    size = start.size
+    place = jnp.arange(size, dtype=jnp.int32)
+    opens = openings(requests, start)
     following = jnp.concatenate([jnp.where(opens, place, size)[1:], jnp.full(1, size, jnp.int32)])
     length = jnp.where(opens & requests.valid, jax.lax.cummin(following, reverse=True) - place, 0)
     first = jnp.nonzero(length > 1, size=size // 2, fill_value=0)[0].astype(jnp.int32)
