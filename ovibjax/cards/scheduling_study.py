@@ -25,8 +25,8 @@ ties by arrival MaxWeight would be FIFO. The figure of congestion shows all thre
 
 SENT = FUSED
 """The control replays whose requests are scheduled: corrections are fused by their calibrated risk. Where they replace
-the estimate, an answer that is not found leaves a client as it was, it asks again at once, and the budget is gone in a
-few bursts: 13 requests a route on tuning seeds. Fused they are 21.8, spread over the route; the paper has 22."""
+the estimate, an answer that is not found leaves a client as it was, and it asks again at once: on tuning seeds eight of
+the twelve requests of a route come in successive slots, in which thirty clients are more than the server can do."""
 
 SCOPES = ("top10", "all")
 """Requests that are judged: the tenth with the largest scheduling value, and all."""

@@ -26,7 +26,8 @@ def candidates(key: jax.Array, count: int, actions: ActionSet) -> Controller:
         actions: the action set.
 
     Returns:
-        A controller whose leaves have leading axis [count]; prices log-uniform, the rest uniform.
+        A controller whose leaves have leading axis [count]; prices log-uniform, up to some that keep the budget where
+        many answers are not found (10,000 and 1,000 m/s), the rest uniform.
     """
 
     def one(index: jax.Array) -> Controller:
@@ -34,7 +35,7 @@ def candidates(key: jax.Array, count: int, actions: ActionSet) -> Controller:
         base = make_controller(actions)
         rules = base.rules._replace(uncertainty_risk_m=2.0 + 8.0 * u[4], uncertainty_gap_s=10.0 * u[5])
         return base._replace(
-            prices=Prices(10.0 ** (4.0 * u[0] - 1.0), jnp.float32(0.0), 10.0 ** (3.0 * u[1] - 1.0)),
+            prices=Prices(10.0 ** (5.0 * u[0] - 1.0), jnp.float32(0.0), 10.0 ** (4.0 * u[1] - 1.0)),
             threshold_m=8.0 * u[2],
             min_gap_s=10.0 * u[3],
             rules=rules,

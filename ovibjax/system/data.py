@@ -111,8 +111,7 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
     Every client that is replayed leads a fleet on a server of its own: its clients ask when the leader does, with
     requests of the replayed clients in turn, and with phases, urgencies, deadlines and service times of their own, as
     in the paper's multi-client replay. Clients fuse corrections by their calibrated risk, as those of the scheduling
-    figures do: an answer that fell for a look-alike is a hundred metres off, and a few of those would hide what an axis
-    does.
+    figures do, so that an answer which is not found brings no burst of requests.
 
     Args:
         sets: one feature set per drive, frames in order and half a second apart.

@@ -177,7 +177,10 @@ def test_other_seeds_settings_and_candidates_compile_nothing(found, caplog):
 def test_candidates_do_not_depend_on_their_number():
     few, many = candidates(jax.random.key(3), 5, ACTIONS), candidates(jax.random.key(3), 300, ACTIONS)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[:5], rtol=1e-6), few, many)
-    assert many.prices.bandwidth_m_per_s.min() >= 0.1 and many.prices.bandwidth_m_per_s.max() <= 1000
+    assert (
+        many.prices.bandwidth_m_per_s.min() >= 0.1
+        and 100 < many.prices.delay_m_per_s.max() <= 1000 < many.prices.bandwidth_m_per_s.max() <= 10_000
+    )
     assert many.threshold_m.min() >= 0 and many.threshold_m.max() <= 8 and many.available.all()
     assert len(np.unique(many.rules.uncertainty_risk_m)) > 290
 

@@ -67,8 +67,8 @@ def test_requests_have_phases_and_a_client_keeps_its_urgency(events):
     urgency = trace.requests.urgency.reshape(5, EVENTS)
     assert np.all(np.ptp(urgency, axis=1) == 0) and len(np.unique(urgency[:, 0])) == 5
     assert np.all((urgency >= 0.5) & (urgency <= 1.5))
-    assert DEADLINE_MS == 776  # the figure of its derivation
-    assert np.all((trace.requests.deadline_ms >= 310) & (trace.requests.deadline_ms <= 1242))
+    assert DEADLINE_MS == 1052  # the figure of its derivation
+    assert np.all((trace.requests.deadline_ms >= 420) & (trace.requests.deadline_ms <= 1684))
     assert len(np.unique(trace.requests.deadline_ms)) == 5 * EVENTS
 
 

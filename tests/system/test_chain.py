@@ -54,7 +54,8 @@ def made(scene):
     arch = replace(static.train.arch, latent=16, hidden=24, last_hidden=16)
     static = replace(static, train=replace(static.train, arch=arch, prefixes=(4, 8, 16)), requests=SLOTS)
     # Eager clients, so that there is something to conserve.
-    control = data.control._replace(prices=data.control.prices._replace(bandwidth_m_per_s=jnp.float32(2.0)))
+    cheap = {"bandwidth_m_per_s": jnp.float32(2.0), "delay_m_per_s": jnp.float32(2.0)}
+    control = data.control._replace(prices=data.control.prices._replace(**cheap))
     drift = data.env.drift._replace(rate_m_per_s=6.0 * data.env.drift.rate_m_per_s)
     env = data.env._replace(drift=drift)
     return data._replace(control=control, env=env), static
