@@ -46,8 +46,8 @@ PUBLIC = {
     "ovibjax.scheduling": """LEVELS POLICIES RequestTrace SchedulerParams TIES Weights default_params
         default_trace_params make_trace metrics recorded_events replay replay_coupled run_grid solve
         synthetic_events""",
-    "ovibjax.sweep": """Along Axis Interrupted Range best config_of merge on_ray open open_dataset random_points run
-        sobol take tree_of""",
+    "ovibjax.sweep": """Along Axis Interrupted Range Staged best config_of halve merge on_ray open open_dataset
+        random_points run sobol take tree_of""",
     "ovibjax.system": "DIMS HYPERS SystemConfig SystemData SystemSize along make_system run sweep_system",
     "ovibjax.world": """Camera RoomConfig TownConfig contact_sheet context_labels make_room make_route make_town
         platform_room render render_interior room_features rooms town town_features write_frames""",

@@ -10,6 +10,8 @@ import tyro
 from ovibjax.errors import InputError
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from ovibjax.report.best import Choice, RunnerUp
 
 
@@ -41,7 +43,7 @@ class Best:
         from ovibjax.report.selection import select
         from ovibjax.sweep.store import config_of, open_dataset
 
-        dataset = select(open_dataset(self.path), self.where)
+        dataset = self._trained_longest(select(open_dataset(self.path), self.where))
         found = choose(dataset, self.minimise, self.subject_to, self.over)
         print(_named(found.point))
         for name, mean in found.means.items():
@@ -55,12 +57,24 @@ class Best:
             unit = dataset[self.minimise].attrs.get("units", "")
             for line in _against(found, found.runner_up, "seed" if "seed" in found.over else "member", unit):
                 print(f"  {line}")
+        if "halving" in dataset.attrs["config"]:
+            print(f"  among points trained for {int(dataset.steps.max())} steps; others: --where steps=NUMBER")
         try:
             axes = axes_of(dataset, grid_dims(dataset))
             out = str(self.path.with_name(f"{self.path.stem}-best.zarr"))
             print(command(config_of(self.path) or {}, axes, found.point, found.over, out))
         except InputError as error:
             print(f"  ({error})")
+
+    def _trained_longest(self, dataset: "xr.Dataset") -> "xr.Dataset":
+        """Of a halving the points that were trained longest, as it means to compare, unless steps were asked for."""
+        from ovibjax.report.selection import select, taken_apart
+
+        asked = [parts[0] for parts in map(taken_apart, self.where) if parts is not None]
+        if "halving" not in dataset.attrs["config"] or "steps" in asked:
+            return dataset
+        there = dataset.finished.any([dim for dim in dataset.finished.dims if dim not in dataset.steps.dims])
+        return select(dataset, [f"steps={int(dataset.steps.where(there).max())}"]) if bool(there.any()) else dataset
 
 
 def _against(found: "Choice", runner_up: "RunnerUp", repetition: str, unit: str) -> list[str]:

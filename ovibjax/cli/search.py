@@ -1,12 +1,19 @@
-"""Options of a search: axes that are ranges become points drawn from them, in place of every combination of values."""
+"""Options of a search: points drawn from axes that are ranges, and halving, in place of every combination in full."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ovibjax.cli.options import require_positive
 from ovibjax.errors import InputError
 from ovibjax.sweep.sampling import Range, parse, random_points, sobol
+
+if TYPE_CHECKING:
+    import xarray
+
+STEPS = "steps"
+"""The axis of a halving that says how long a member was trained."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +27,63 @@ class SearchOptions:
     """The same with independent points."""
     search_seed: int = 0
     """Another one draws other points."""
+
+
+@dataclass(frozen=True)
+class HalvingOptions:
+    """Whether only the best points are trained to the end."""
+
+    halving: int | None = None
+    """Train all points for a part of the steps only; one in so many (3 is usual) goes on, by the mean over its seeds,
+    and so on in --rungs. Those that are trained to the end have the bits of a whole training."""
+    rungs: int | None = None
+    """How often points are judged; by default so often that the first rung is about a ninth of the steps."""
+
+    def check(self, shard: str | None, on: str) -> None:
+        """Refuse what does not go together.
+
+        Args:
+            shard: the option.
+            on: the option.
+
+        Raises:
+            InputError: rungs without halving, halving of shards or on a cluster, or an impossible number.
+        """
+        if self.halving is None:
+            if self.rungs is not None:
+                raise InputError(f"--rungs {self.rungs}: it is for --halving")
+            return
+        if self.halving < 2:
+            raise InputError(f"--halving {self.halving}: one point in so many goes on, so give 2 or more")
+        require_positive(self, "rungs")
+        if shard is not None:
+            raise InputError(f"--shard {shard}: --halving compares all points; leave one of the two out")
+        if on != "local":
+            raise InputError(f"--on {on}: --halving runs on this machine; leave one of the two out")
+
+
+def halved_line(dataset: "xarray.Dataset", store: Path) -> str:
+    """What a halving did, and how to look at it.
+
+    Args:
+        dataset: its results.
+        store: where they are.
+
+    Returns:
+        Two lines.
+    """
+    rungs = dataset.attrs["rungs"]
+    seeds = dataset.finished.size // sum(rung["points"] for rung in rungs)
+    counts, steps = ([str(rung[name]) for rung in rungs] for name in ("points", "steps"))
+    diverged = int(dataset.diverged.sum())
+    line = f"{_listed(counts)} points of {seeds} {'seeds' if seeds > 1 else 'seed'} trained for {_listed(steps)} steps"
+    line += f", {diverged} diverged" if diverged else ""
+    line += f"; {dataset.attrs['spent']:.0%} of the steps of all of them: {store}"
+    return f"{line}\nlook at the last: ovibjax show {store} --where {STEPS}={steps[-1]}"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def range_or_none(

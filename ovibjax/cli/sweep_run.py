@@ -23,15 +23,19 @@ from ovibjax.cli.options import (
     shard_of,
 )
 from ovibjax.cli.processor import settle
-from ovibjax.cli.search import SearchOptions, range_or_none, searched
+from ovibjax.cli.search import HalvingOptions, SearchOptions, halved_line, range_or_none, searched
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 from ovibjax.sweep.sampling import Range, parse
 
 if TYPE_CHECKING:
+    import xarray
+
     from ovibjax.sweep.engine import Executor
     from ovibjax.sweep.from_file import SweepFile
     from ovibjax.sweep.grid import Axis
+    from ovibjax.sweep.program import MemberFn
+    from ovibjax.sweep.staged import Staged
 
 _LARGEST = 2**31 - 1
 _LARGEST_FLOAT = 3.4028234663852886e38
@@ -53,6 +57,10 @@ class SweepRun:
     loads arrays for all members (or ovibjax.sweep.Along, for an entry per value of an axis); units, dims and coords of
     outputs; zipped, groups of axes that advance together; and settings, kept in the store and compared.
 
+    For --halving a member must be such that it can be cut. In its place FILE defines begin(key, point, shared), which
+    returns a state; go_on(key, point, shared, state, first, last), which returns it after the steps from first to last;
+    judge(key, point, shared, state), which returns arrays by name; steps, of the whole; and score, one of the names.
+
     Finished members are written to OUT as they come: after Ctrl-C, a crash or a kill, the same command goes on where it
     stopped, and one with more values adds what is missing. Another function, other data or settings on the same OUT are
     refused with what differs.
@@ -69,6 +77,10 @@ class SweepRun:
     # The default is frozen, so that instances may share it.
     search: tyro.conf.OmitArgPrefixes[SearchOptions] = SearchOptions()  # noqa: RUF009
     """How points are drawn where an axis is a range."""
+    halving: tyro.conf.OmitArgPrefixes[HalvingOptions] = HalvingOptions()  # noqa: RUF009
+    """Whether only the best points are trained to the end."""
+    score: str | None = None
+    """The output by which --halving chooses, the lowest being best; the file's score by default."""
     on: Literal["local", "ray"] = "local"
     """Where members are computed: this machine, or a Ray cluster (extra [cluster])."""
     address: str | None = None
@@ -90,6 +102,9 @@ class SweepRun:
         """Run the command."""
         settle(self.out, self.threads, self.devices)
         require_positive(self, "lanes")
+        self.halving.check(self.shard, self.on)
+        if self.score is not None and self.halving.halving is None:
+            raise InputError(f"--score {self.score}: it is for --halving")
         shard_of(self.shard)  # misspelt, it is refused before the data are loaded
         require_store(self.out)
         executor = executor_of(self.on, self.address)
@@ -107,6 +122,7 @@ class SweepRun:
         from ovibjax.sweep.engine import run
         from ovibjax.sweep.from_file import data_of, member_of, read_sweep_file
         from ovibjax.sweep.grid import make_grid
+        from ovibjax.sweep.halving import halve
 
         file = read_sweep_file(self.file)
         axes, zipped = drawn_axes(
@@ -114,31 +130,43 @@ class SweepRun:
         )
         make_grid(axes, zipped)  # refused before the data are loaded
         shared = data_of(file, axes)
+        fn, options = member_of(file), {**file.options, "zipped": zipped}
+
+        def compute(store: Path) -> "xarray.Dataset":
+            common = {**options, "store": store, "lanes": self.lanes, "on_progress": counted}
+            if self.halving.halving is None:
+                return run(fn, axes, shared, **common, shard=shard_of(self.shard), executor=executor)
+            staged, score = self._staged(fn, file)
+            by: dict[str, Any] = {"score": score, "factor": self.halving.halving, "rungs": self.halving.rungs}
+            return halve(staged, axes, shared, **by, **common)
+
         with progress_bar("computing", 1) as update:
             counted = Counted(update)
             try:
-                dataset, store = kept_in(
-                    self.out,
-                    self.keep_both,
-                    lambda store: run(
-                        member_of(file),
-                        axes,
-                        shared,
-                        **{**file.options, "zipped": zipped},
-                        store=store,
-                        lanes=self.lanes,
-                        shard=shard_of(self.shard),
-                        executor=executor,
-                        on_progress=counted,
-                    ),
-                )
+                dataset, store = kept_in(self.out, self.keep_both, compute)
             except jax.errors.JaxRuntimeError as error:  # out of memory, a host function that raised
                 raise InputError(
                     f"{self.file}: the program failed as it ran ({_gist(error)}); finished members are kept"
                 ) from error
+        if self.halving.halving is not None:
+            console.print(halved_line(dataset, store))
+            return
         diverged = int(dataset.diverged.sum())
         line = finished_line(dataset, counted, f", {diverged} diverged" if diverged else "")
         console.print(f"{line}: {store}\nlook at them: ovibjax show {store}")
+
+    def _staged(self, fn: "MemberFn", file: "SweepFile") -> "tuple[Staged, str]":
+        """The file's function as one that can be cut, and the output that chooses."""
+        from ovibjax.sweep.staged import Staged
+
+        if not isinstance(fn, Staged):
+            raise InputError(
+                f"{file.path}: member cannot be cut; for --halving define begin, go_on, judge and steps in its place"
+            )
+        score = self.score or file.score
+        if score is None:
+            raise InputError(f"{file.path}: say by which output --halving chooses: score = NAME there, or --score")
+        return fn, score
 
 
 def _gist(error: Exception) -> str:

@@ -19,11 +19,13 @@ from ovibjax.cli.options import (
     shard_of,
 )
 from ovibjax.cli.processor import settle
-from ovibjax.cli.search import SearchOptions, range_or_none, searched
+from ovibjax.cli.search import HalvingOptions, SearchOptions, halved_line, range_or_none, searched
 from ovibjax.errors import InputError
 from ovibjax.runtime.progress import console, progress_bar
 
 if TYPE_CHECKING:
+    import xarray
+
     from ovibjax.encoder.train import TrainConfig
     from ovibjax.sweep.engine import Executor
 
@@ -37,7 +39,9 @@ class SweepTrain:
     written to OUT as they come: after Ctrl-C, a crash or a kill, the same command goes on where it stopped. A command
     with more values, or others, adds the members that are missing.
 
-    Any axis but seed may be a range, from which --sobol or --random draw points: --beta log:1e-5:1e-1 --sobol 64.
+    Any axis but seed may be a range, from which --sobol or --random draw points: --beta log:1e-5:1e-1 --sobol 64. With
+    --halving 3 points are judged on the way by their mean validation error (val_mean_m over prefixes and modes), and
+    the best third goes on.
 
     Example: ovibjax sweep train --beta 1e-4 1e-3 --gamma 0 0.01 0.1 1 --seed 0:5 --prefix 8 16 35 --out runs/mine.zarr
     """
@@ -61,6 +65,8 @@ class SweepTrain:
     # The default is frozen, so that instances may share it.
     search: tyro.conf.OmitArgPrefixes[SearchOptions] = SearchOptions()  # noqa: RUF009
     """How points are drawn where an axis is a range."""
+    halving: tyro.conf.OmitArgPrefixes[HalvingOptions] = HalvingOptions()  # noqa: RUF009
+    """Whether only the best points are trained to the end."""
     prefix: tuple[str, ...] = ("8", "16", "35", "128")
     """Prefix lengths to judge at (costs no training)."""
     mode: tuple[str, ...] = ("all",)
@@ -99,6 +105,7 @@ class SweepTrain:
         """Run the command."""
         settle(self.out, self.threads, self.devices)
         (axes, zipped), prefixes = searched(self._axes(), self.search), self._prefixes()
+        self.halving.check(self.shard, self.on)
         shard_of(self.shard)  # misspelt, it is refused before the data are prepared
         require_store(self.out)
         require_positive(self, "steps", "batch", "latent")
@@ -166,9 +173,10 @@ class SweepTrain:
         executor: "Executor | None",
     ) -> None:
         from ovibjax.cards.loading import load_features
-        from ovibjax.edge.member import DIMS, UNITS, TrainAndJudge
+        from ovibjax.edge.member import DIMS, SCORE, UNITS, TrainAndJudge
         from ovibjax.encoder.training_data import member_data
         from ovibjax.sweep.engine import run
+        from ovibjax.sweep.halving import halve
         from ovibjax.sweep.work import Along
 
         features = load_features(self.data)
@@ -181,27 +189,27 @@ class SweepTrain:
         static = self._static(*members[0].train.x.shape[1:])
         settings: dict[str, Any] = {name: getattr(self, name) for name in ("rank", "steps", "batch", "latent", "prior")}
         settings |= {"precision": static.precision, "prefix": list(prefixes), "mode": list(modes)}
+        # In stages without halving too: a point that a halving chose has the same bits when it is trained alone.
+        fn = TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params).staged(len(members[0].train.x))
+        coords = {"prefix": list(prefixes), "mode": list(modes)}
+        notes = {"data": str(self.data)} if self.data else None
+        common: dict[str, Any] = {"zipped": zipped, "settings": settings, "notes": notes}
+        common |= {"dims": DIMS, "coords": coords, "units": UNITS}
+
+        def compute(store: Path) -> "xarray.Dataset":
+            data = Along("seed", members)
+            if self.halving.halving is None:
+                shard = shard_of(self.shard)
+                return run(fn, axes, data, **common, store=store, shard=shard, executor=executor, on_progress=counted)
+            by: dict[str, Any] = {"score": SCORE, "factor": self.halving.halving, "rungs": self.halving.rungs}
+            return halve(fn, axes, data, **by, **common, store=store, on_progress=counted)
+
         with progress_bar("training", 1) as update:
             counted = Counted(update)
-            dataset, store = kept_in(
-                self.out,
-                self.keep_both,
-                lambda store: run(
-                    TrainAndJudge(static, prefixes, modes, keep_params=self.keep_params),
-                    axes,
-                    Along("seed", members),
-                    zipped=zipped,
-                    dims=DIMS,
-                    coords={"prefix": list(prefixes), "mode": list(modes)},
-                    units=UNITS,
-                    store=store,
-                    settings=settings,
-                    notes={"data": str(self.data)} if self.data else None,
-                    shard=shard_of(self.shard),
-                    executor=executor,
-                    on_progress=counted,
-                ),
-            )
+            dataset, store = kept_in(self.out, self.keep_both, compute)
+        if self.halving.halving is not None:
+            console.print(halved_line(dataset, store))
+            return
         diverged = int(dataset.diverged.sum())
         line = finished_line(dataset, counted, f", {diverged} diverged" if diverged else "")
         console.print(f"{line}: {store}\nlook at them: ovibjax show {store}")

@@ -9,11 +9,13 @@ import jax.numpy as jnp
 from ovibjax.edge.judging import Trained, judge_prefixes
 from ovibjax.edge.localize import errors, summarize
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, positions_m
+from ovibjax.encoder.epochs import Epoch, State, schedule_of
 from ovibjax.encoder.loss import LR, Hypers, make_hypers
-from ovibjax.encoder.model import Architecture, encode
+from ovibjax.encoder.model import Architecture, Params, encode
 from ovibjax.encoder.rate import active_dims
-from ovibjax.encoder.train import TrainConfig, fit
+from ovibjax.encoder.train import TrainConfig, epochs_of, fit
 from ovibjax.encoder.training_data import MemberData
+from ovibjax.sweep.staged import Staged
 from ovibjax.views import full_mode, mode_mask
 
 UNITS = {"val_mean_m": "m", "test_mean_m": "m", "test_p90_m": "m", "rate": "nats"}
@@ -21,6 +23,10 @@ UNITS = {"val_mean_m": "m", "test_mean_m": "m", "test_p90_m": "m", "rate": "nats
 
 DIMS = dict.fromkeys(("val_mean_m", "test_mean_m", "test_p90_m", "eta"), ("mode", "prefix"))
 """Trailing dimensions of the outputs."""
+
+
+SCORE = "val_mean_m"
+"""The output that points are chosen by: never an error on test frames."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +59,66 @@ class TrainAndJudge:
             Mean validation and test errors, 90th percentile of the test errors and mixing weights
             [modes, prefixes]; terms of the loss in the last epoch; coordinates not pruned.
         """
-        arch = self.static.arch
+        params, metrics = fit(key, self._hypers(point), member.train, self.static)
+        return self._judged(params, member, metrics)
+
+    def staged(self, n: int) -> Staged:
+        """The same in stages, cut at whole epochs; the learning rate follows the schedule of the whole training.
+
+        Args:
+            n: training examples of a member.
+
+        Returns:
+            A member function for `sweep.halve`.
+        """
+        _, per_epoch, epochs = schedule_of(self.static.steps, self.static.batch, n)
+        name = f"{type(self).__module__}.{type(self).__qualname__}"
+        return Staged(self._begin, self._go_on, self._judge, epochs * per_epoch, per_epoch, name)
+
+    def _begin(self, key: jax.Array, point: dict[str, jax.Array], member: MemberData) -> dict[str, Any]:
+        """The network before its first epoch, with its optimizer and the terms of a loss that is not yet known."""
+        epoch, trained, _ = self._epochs(key, point, member)
+        terms = jax.eval_shape(epoch, trained, jnp.int32(0))[1]
+        return {"trained": trained, "metrics": jax.tree.map(lambda term: jnp.zeros(term.shape, term.dtype), terms)}
+
+    # As many as a stage is given.
+    def _go_on(
+        self,
+        key: jax.Array,
+        point: dict[str, jax.Array],
+        member: MemberData,
+        state: dict[str, Any],
+        first: jax.Array,
+        last: jax.Array,
+    ) -> dict[str, Any]:
+        """The network after the epochs from one step to another, and the terms of the loss in the last of them."""
+        per_epoch = schedule_of(self.static.steps, self.static.batch, member.train.x.shape[0])[1]
+        epoch = self._epochs(key, point, member)[0]
+
+        def body(number: jax.Array, state: dict[str, Any]) -> dict[str, Any]:
+            trained, metrics = epoch(state["trained"], number)
+            return {"trained": trained, "metrics": metrics}
+
+        begun, end = (jax.lax.div(step, jnp.int32(per_epoch)) for step in (first, last))
+        return jax.lax.fori_loop(begun, end, body, state)
+
+    def _judge(
+        self, key: jax.Array, point: dict[str, jax.Array], member: MemberData, state: dict[str, Any]
+    ) -> dict[str, Any]:
+        """How good the network of a state is."""
+        metrics = {name: value[None] for name, value in state["metrics"].items()}
+        return self._judged(state["trained"][0], member, metrics)
+
+    def _hypers(self, point: dict[str, jax.Array]) -> Hypers:
         given = {name: value for name, value in point.items() if name in Hypers._fields}
-        hypers = make_hypers(lr=self.lr)._replace(**given)
-        params, metrics = fit(key, hypers, member.train, self.static)
+        return make_hypers(lr=self.lr)._replace(**given)
+
+    def _epochs(self, key: jax.Array, point: dict[str, jax.Array], member: MemberData) -> tuple[Epoch, State, int]:
+        return epochs_of(key, self._hypers(point), member.train, self.static)
+
+    def _judged(self, params: Params, member: MemberData, metrics: dict[str, jax.Array]) -> dict[str, Any]:
+        """Outputs of a trained network, with metrics [epochs]."""
+        arch = self.static.arch
         masks = jnp.stack([mode_mask(mode, arch.n_views) for mode in self.modes])
         lengths = jnp.array(self.prefixes, jnp.int32)
         judged = jax.lax.map(lambda mask: judge_prefixes(Trained(member, params), arch, mask, lengths), masks)

@@ -196,11 +196,14 @@ def command(
         out: store to write.
 
     Returns:
-        One line for a shell.
+        One line for a shell; of a halving the point trained to the end, as no command trains it for less.
 
     Raises:
         InputError: a sweep that no command of this software made.
     """
+    if "halving" in config:
+        axes = [name for name in axes if name != "steps"]
+        point = {name: value for name, value in point.items() if name != "steps"}
     if config["function"].startswith("sweep_file."):
         values = {**{name: [value] for name, value in point.items()}, **over}
         return _run_command(config, {name: items for name, items in values.items() if name in axes}, out)

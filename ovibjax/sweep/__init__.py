@@ -27,6 +27,9 @@ together:
 >>> dict(dataset.sizes), bool(dataset.cost.mean("seed").min() < 0.5)
 ({'beta_rate': 8, 'seed': 4}, True)
 
+`halve` trains all points for a while and goes on with the best third, of a member function in stages (`Staged`): bit
+for bit what `run` gives for them, at a fraction of the steps.
+
 With `store="x.zarr"` members are on disk within a second of being computed; the same call goes on after a kill and
 ends with the same bits, and another grid reads what the store has and adds what it lacks. A call that would compute
 something else is refused with what differs. `shard=(3, 16)` computes a sixteenth, `merge` joins stores,

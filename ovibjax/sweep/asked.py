@@ -18,6 +18,7 @@ from ovibjax.sweep.grid import Axis, Grid
 from ovibjax.sweep.layout import Layout
 
 _FOLDER = "asked"
+_EXPECTED = "expected"
 
 
 def announce(store: Path, grid: Grid) -> None:
@@ -72,3 +73,28 @@ def asked_grids(store: Path, layout: Layout) -> Iterator[Grid]:
             filled = all(len(axis.values) for axis in axes.values())
             if filled and {name for group in groups for name in group} == axes.keys():
                 yield Grid(axes, groups)
+
+
+def expect(store: Path | None, members: int | None) -> None:
+    """Note how many members a store will hold at least, where which ones is found out on the way; None for an end.
+
+    Args:
+        store: the folder; nothing is noted where there is none.
+        members: how many.
+    """
+    if store is None:
+        return
+    file = store / _FOLDER / _EXPECTED
+    with suppress(OSError):  # only readers need it
+        if members is None:
+            file.unlink(missing_ok=True)
+        else:
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(str(members), encoding="utf-8")
+
+
+def expected(store: Path | None) -> int:
+    """How many members a store will hold at least; 0 if nothing is noted."""
+    with suppress(OSError, ValueError):
+        return 0 if store is None else int((store / _FOLDER / _EXPECTED).read_text(encoding="utf-8"))
+    return 0

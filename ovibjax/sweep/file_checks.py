@@ -14,7 +14,15 @@ from ovibjax.errors import InputError, one_line
 from ovibjax.runtime.python_files import told
 from ovibjax.sweep.grid import Axis
 from ovibjax.sweep.program import flatten
+from ovibjax.sweep.staged import Staged
 from ovibjax.sweep.work import Along
+
+STAGES = {
+    "begin": ("key", "point", "shared"),
+    "go_on": ("key", "point", "shared", "state", "first", "last"),
+    "judge": ("key", "point", "shared", "state"),
+}
+"""Functions of a member that can be cut, and their arguments."""
 
 
 def signature_of(name: str, function: Any) -> inspect.Signature:
@@ -77,6 +85,35 @@ def options_of(found: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def staged_of(found: Mapping[str, Any]) -> Staged | None:
+    """The stages that a file defines in place of a member function; None if it defines none.
+
+    Args:
+        found: all that it defines, by name.
+
+    Returns:
+        Its begin, go_on, judge, steps and every.
+
+    Raises:
+        InputError: one of them is missing or of another kind, or there is a member function as well.
+    """
+    functions = [name for name in STAGES if name in found]
+    if not functions or ("member" in found and len(functions) < len(STAGES)):
+        return None
+    if "member" in found:
+        raise InputError(f"there is member, and there are {', '.join(STAGES)}; define the one or the others")
+    for name, arguments in STAGES.items():
+        if name not in found:
+            raise InputError(f"{name}({', '.join(arguments)}) is missing; there is {functions[0]}")
+        check_signature(name, found[name], arguments)
+    numbers = {"steps": found.get("steps"), "every": found.get("every", 1)}
+    for name, number in numbers.items():
+        if not isinstance(number, int) or isinstance(number, bool):
+            given = "missing" if number is None else _kind(number)
+            raise InputError(f"{name} is {given}; it is a whole number, of the steps that go_on counts")
+    return Staged(*(found[name] for name in STAGES), **numbers)
+
+
 def _words(name: str, value: Any) -> tuple[str, ...]:
     words = (value,) if isinstance(value, str) else value
     if not isinstance(words, Sequence) or not all(isinstance(word, str) for word in words):
@@ -135,10 +172,11 @@ def _dtype(leaf: Any) -> Any:
     return leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
 
 
-def fault(error: Exception, path: Path, axes: Sequence[str]) -> str:
-    """What is wrong with a member function that raised.
+def fault(name: str, error: Exception, path: Path, axes: Sequence[str]) -> str:
+    """What is wrong with a function of a file that raised.
 
     Args:
+        name: of the function.
         error: as caught.
         path: the file.
         axes: names that a point has.
@@ -148,23 +186,23 @@ def fault(error: Exception, path: Path, axes: Sequence[str]) -> str:
     """
     if isinstance(error, jax.errors.JAXTypeError | jax.errors.JAXIndexError):
         return (
-            "member cannot be traced: it branches on an array, or makes a number of Python or an array of NumPy of "
+            f"{name} cannot be traced: it branches on an array, or makes a number of Python or an array of NumPy of "
             f"one; use jax.numpy, jax.lax.cond or jax.lax.fori_loop there ({told(error, path, 110)})"
         )
     lacks = isinstance(error, KeyError) and error.args and error.args[0] not in axes
-    return f"member fails: {told(error, path)}" + (f" (a point has {', '.join(axes)})" if lacks else "")
+    return f"{name} fails: {told(error, path)}" + (f" (a point has {', '.join(axes)})" if lacks else "")
 
 
-def check_outputs(outputs: Any) -> None:
-    """Refuse outputs that are not arrays by name."""
+def check_outputs(name: str, outputs: Any) -> None:
+    """Refuse outputs of a function that are not arrays by name."""
     if not isinstance(outputs, Mapping) or not outputs:
         given = "nothing" if outputs is None or isinstance(outputs, Mapping) else _kind(outputs)
-        raise InputError(f"member returns {given}; it returns a dictionary of arrays by name, as {{'loss': loss}}")
-    for name, value in flatten(outputs).items():
+        raise InputError(f"{name} returns {given}; it returns a dictionary of arrays by name, as {{'loss': loss}}")
+    for output, value in flatten(outputs).items():
         try:
             jnp.asarray(value)
         except (TypeError, ValueError):
-            raise InputError(f"member returns {_kind(value)} as {name}; outputs are arrays of numbers") from None
+            raise InputError(f"{name} returns {_kind(value)} as {output}; outputs are arrays of numbers") from None
 
 
 def _kind(value: Any) -> str:

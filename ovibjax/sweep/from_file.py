@@ -1,12 +1,13 @@
 """A sweep that somebody's Python file describes: read, and narrowed to the values that are asked for.
 
-The file defines `axes` and `member(key, point, shared)`, and may define `shared()` or `shared(axes)` (data, also as
-`Along`), `zipped`, `dims`, `coords`, `units`, and `settings` (or `static`); all mean what they mean in `engine.run`.
+The file defines `axes` and `member(key, point, shared)`, or in its place `begin`, `go_on`, `judge` and `steps` (see
+`Staged`; also `every`). It may define `shared()` or `shared(axes)` (data, also as `Along`), `zipped`, `dims`, `coords`,
+`units`, and `settings` (or `static`); all mean what they mean in `engine.run`. `score` is that of `halving.halve`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import jax
 from ovibjax.errors import InputError
 from ovibjax.runtime.python_files import import_file, told
 from ovibjax.sweep.file_checks import (
+    STAGES,
     check_along,
     check_arrays,
     check_list,
@@ -24,9 +26,11 @@ from ovibjax.sweep.file_checks import (
     fault,
     options_of,
     signature_of,
+    staged_of,
 )
 from ovibjax.sweep.grid import Axis, make_grid
 from ovibjax.sweep.program import MemberFn
+from ovibjax.sweep.staged import Staged
 from ovibjax.sweep.work import Along
 
 MODULES = "sweep_file"
@@ -39,9 +43,10 @@ class SweepFile:
 
     Attributes:
         path: the file.
-        member: its member function.
+        member: its member function, `Staged` if it can be cut.
         axes: its axes.
         shared: data, or the function that gives them.
+        score: the output that a halving chooses by, if the file names one.
         options: `zipped`, `dims`, `coords`, `units` and `settings`, as `engine.run` takes them.
     """
 
@@ -49,6 +54,7 @@ class SweepFile:
     member: MemberFn
     axes: dict[str, Axis]
     shared: Any
+    score: str | None
     options: dict[str, Any]
 
 
@@ -66,20 +72,25 @@ def read_sweep_file(path: Path) -> SweepFile:
     """
     found = vars(import_file(path, f"{MODULES}.{path.stem}"))
     with _about(path):
+        staged = staged_of(found)
         for name in ("axes", "member"):
-            if name not in found:
+            if name not in found and (name == "axes" or staged is None):
                 raise InputError(
                     f"{name} is missing; a sweep file defines axes, a dictionary of values by name, and "
                     "member(key, point, shared)"
                 )
-        check_signature("member", found["member"], ("key", "point", "shared"))
+        if staged is None:
+            check_signature("member", found["member"], ("key", "point", "shared"))
+        score = found.get("score")
+        if score is not None and not isinstance(score, str):
+            raise InputError("score is no name; it names the output that a halving chooses by")
         options = options_of(found)
         given = dictionary("axes", found["axes"])
         for name, values in given.items():
             if isinstance(values, Axis):
                 check_list(f"axes: {name}", values.values)
         axes = make_grid(given, options["zipped"]).axes
-        return SweepFile(path, found["member"], axes, found.get("shared"), options)
+        return SweepFile(path, staged or found["member"], axes, found.get("shared"), score, options)
 
 
 def data_of(file: SweepFile, axes: Mapping[str, Axis]) -> Any:
@@ -119,22 +130,31 @@ def member_of(file: SweepFile) -> MemberFn:
         file: what the file says.
 
     Returns:
-        A member function of the file's module and of its name, whose errors are one line.
+        A member function of the file's module and of its name, whose errors are one line; `Staged` if it can be cut.
     """
-    fn, path = file.member, file.path
+    fn = file.member
+    if not isinstance(fn, Staged):
+        return _guarded("member", fn, file.path)
+    begin, go_on, judge = (_guarded(name, getattr(fn, name), file.path) for name in STAGES)
+    return replace(fn, begin=begin, go_on=go_on, judge=judge, name=f"{MODULES}.{file.path.stem}.member")
 
-    def member(key: jax.Array, point: dict[str, jax.Array], shared: Any) -> Mapping[str, Any]:
+
+def _guarded(name: str, fn: Callable[..., Any], path: Path) -> Callable[..., Any]:
+    """A function of a file, whose errors are one line."""
+
+    def guarded(key: jax.Array, point: dict[str, jax.Array], shared: Any, *more: Any) -> Any:
         with _about(path):
             try:
-                outputs = fn(key, point, shared)
+                outputs = fn(key, point, shared, *more)
             except Exception as error:
-                raise InputError(fault(error, path, list(point))) from error
-            check_outputs(outputs)
+                raise InputError(fault(name, error, path, list(point))) from error
+            if name in ("member", "judge"):
+                check_outputs(name, outputs)
         return outputs
 
-    # The store names the function by these. It travels to workers whole, as the module's own `member` is another.
-    member.__module__, member.__qualname__ = f"{MODULES}.{path.stem}", "member"
-    return member
+    # The store names the function by these. It travels to workers whole, as the module's own is another.
+    guarded.__module__, guarded.__qualname__ = f"{MODULES}.{path.stem}", name
+    return guarded
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from ovibjax.sweep.dataset import assemble
 from ovibjax.sweep.differences import digest
 from ovibjax.sweep.grid import Grid
 from ovibjax.sweep.layout import Layout
-from ovibjax.sweep.members import together
+from ovibjax.sweep.members import grid_keys, row_keys, together
 
 
 class InMemory:
@@ -28,6 +28,12 @@ class InMemory:
         self.layout, self.config = layout, config
         self._tables: list[np.ndarray] = []
 
+    @property
+    def rows(self) -> np.ndarray | None:
+        """The members that were added; None if there is none."""
+        self._tables = [] if (rows := together(self._tables, list(self.layout.units))) is None else [rows]
+        return rows
+
     def lock(self) -> None:
         """Nobody else can add members."""
 
@@ -38,8 +44,9 @@ class InMemory:
         """Nobody else reads."""
 
     def missing(self, grid: Grid, data: Sequence[bytes]) -> np.ndarray:
-        """[n] members of a grid that are to be computed: all."""
-        return np.arange(grid.size)
+        """[n] members of a grid that are to be computed."""
+        held = set() if self.rows is None else set(row_keys(self.rows, list(grid.axes)))
+        return np.array([member for member, key in enumerate(grid_keys(grid)) if key not in held], int)
 
     def add(self, rows: np.ndarray) -> None:
         """Keep members."""
@@ -47,8 +54,7 @@ class InMemory:
 
     def dataset(self, grid: Grid) -> xarray.Dataset:
         """The members of a grid; see `dataset.assemble`."""
-        rows = together(self._tables, list(self.layout.units))
-        return assemble(self.layout, grid, rows, {"config": self.config, "hash": digest(self.config)})
+        return assemble(self.layout, grid, self.rows, {"config": self.config, "hash": digest(self.config)})
 
     def __enter__(self) -> Self:
         return self

@@ -11,7 +11,7 @@ whoever asks for it, and gives the same bits.
 import hashlib
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,10 +70,12 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def member(fn: MemberFn, point: dict[str, jax.Array], shared: Any) -> dict[str, jax.Array]:
+def member(
+    fn: Callable[..., Mapping[str, Any]], point: dict[str, jax.Array], shared: Any, *common: Any
+) -> dict[str, jax.Array]:
     """One member: its key depends on its seed alone, so members of equal seed share their random numbers."""
     key = jax.random.key(point.get(SEED, 0))
-    return {name: jnp.asarray(value) for name, value in flatten(fn(key, point, shared)).items()}
+    return {name: jnp.asarray(value) for name, value in flatten(fn(key, point, shared, *common)).items()}
 
 
 def trace_member(fn: MemberFn, point: dict[str, Any], shared: Any) -> tuple[dict[str, Any], int]:
@@ -134,12 +136,12 @@ def next_power_of_two(least: int) -> int:
 
 
 def batch_function(
-    fn: MemberFn, batch: Batch, outer: tuple[str, ...], along: bool, devices: int
-) -> Callable[[dict[str, jax.Array], Any], dict[str, jax.Array]]:
+    fn: Callable[..., Mapping[str, Any]], batch: Batch, outer: Sequence[str], along: bool, devices: int
+) -> Callable[..., dict[str, jax.Array]]:
     """The function of one batch, shared among devices where there are several.
 
     Args:
-        fn: the member function.
+        fn: the member function; it may take numbers beside, which are the same for all members.
         batch: how members are put together.
         outer: axes of the outer dimension.
         along: whether data differ along it.
@@ -147,32 +149,37 @@ def batch_function(
 
     Returns:
         A function of points [D * lanes] and data, which lead with [D * lanes], or with [D] where the batch is grouped,
-        if they differ; of outputs [D * lanes, ...].
+        if they differ, and of what is the same for all; its outputs [D * lanes, ...].
     """
 
-    def together(points: dict[str, jax.Array], shared: Any) -> dict[str, jax.Array]:
+    def together(points: dict[str, jax.Array], shared: Any, *same: Any) -> dict[str, jax.Array]:
         def first(tree: Any) -> Any:
             return jax.tree.map(lambda leaf: leaf[0], tree)
 
         if batch.lanes == 1:  # no batch axis at all: the program of a single member
-            found = member(fn, first(points), first(shared) if along else shared)
+            found = member(fn, first(points), first(shared) if along else shared, *same)
             return jax.tree.map(lambda leaf: leaf[None], found)
         if batch.grouped:
             common = {name: points[name][0] for name in outer}
             inner = {name: values for name, values in points.items() if name not in outer}
             data = first(shared) if along else shared
             if not inner:
-                found = member(fn, common, data)
+                found = member(fn, common, data, *same)
                 return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch.lanes, *leaf.shape)), found)
-            return jax.vmap(lambda point: member(fn, {**common, **point}, data))(inner)
-        return jax.vmap(lambda point, data: member(fn, point, data), (0, 0 if along else None))(points, shared)
+            return jax.vmap(lambda point: member(fn, {**common, **point}, data, *same))(inner)
+        return jax.vmap(lambda point, data: member(fn, point, data, *same), (0, 0 if along else None))(points, shared)
 
     if devices == 1:
         return together
     mesh = Mesh(np.array(jax.local_devices()[:devices]), ("members",))
     split = P("members")
-    specs = (split, split if along else P())
-    return jax.shard_map(together, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
+
+    def shared_out(points: dict[str, jax.Array], shared: Any, *same: Any) -> dict[str, jax.Array]:
+        specs = (split, split if along else P(), *[P()] * len(same))
+        shared_out = jax.shard_map(together, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
+        return shared_out(points, shared, *same)
+
+    return shared_out
 
 
 class Program:
@@ -183,7 +190,7 @@ class Program:
         key: what tells it from every other program of this process.
     """
 
-    def __init__(self, function: Callable[..., Any], fn: MemberFn, devices: int, arguments: Any) -> None:
+    def __init__(self, function: Callable[..., Any], fn: Any, devices: int, arguments: Any) -> None:
         """Lower for arguments of these shapes; compiled at the first call, once per process."""
         # An argument that is dropped because it is unused would leave two functions of different ones with equal text.
         self._lowered = jax.jit(function, keep_unused=True).lower(*arguments)
@@ -204,9 +211,17 @@ class Program:
         Returns:
             Outputs per member on the host.
         """
+        return jax.device_get(self.on_device(points, shared))
+
+    def whole(self, points: dict[str, np.ndarray], shared: Any) -> dict[str, np.ndarray]:
+        """All that there is of a batch: its outputs."""
+        return self(points, shared)
+
+    def on_device(self, *arguments: Any) -> dict[str, jax.Array]:
+        """Compute one batch and leave its outputs where they are; arguments are those of its function."""
         global compilations
         with _compiling:
             if self.key not in _compiled:
                 _compiled[self.key] = self._lowered.compile()
                 compilations += 1
-        return jax.device_get(_compiled[self.key](points, shared))
+        return _compiled[self.key](*arguments)

@@ -18,7 +18,7 @@ import xarray
 from ovibjax.errors import InputError, doubt
 from ovibjax.runtime.locks import WITHOUT_LOCKS
 from ovibjax.runtime.progress import console
-from ovibjax.sweep.asked import announce, asked_grids
+from ovibjax.sweep.asked import announce, asked_grids, expected
 from ovibjax.sweep.blocks import count_members, read_blocks, remove_abandoned
 from ovibjax.sweep.dataset import assemble, union
 from ovibjax.sweep.differences import digest
@@ -199,7 +199,8 @@ class Store:
         rows = self.rows
         attributes: dict[str, Any] = {"config": self.config, "hash": digest(self.config)}
         if grid is None:
-            grid, attributes["asked"] = union(self.layout, rows, list(asked_grids(self.path, self.layout)))
+            grid, members = union(self.layout, rows, list(asked_grids(self.path, self.layout)))
+            attributes["asked"] = max(members, expected(self.path))
         return assemble(self.layout, grid, rows, attributes)
 
     def announce(self, grid: Grid) -> None:

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property, lru_cache, partial
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import numpy as np
@@ -13,6 +13,8 @@ from ovibjax.runtime.hardware import instructions
 from ovibjax.sweep.grid import Grid
 from ovibjax.sweep.members import data_digest, rows_of
 from ovibjax.sweep.program import Batch, MemberFn, Program, batch_function
+from ovibjax.sweep.staged import STATE, STEPS, Form, Staged, form_of
+from ovibjax.sweep.staged_program import Stage, StagedProgram
 
 _HARMLESS = ("--xla_force_host_platform_device_count", "--xla_dump", "--xla_cpu_parallel_codegen_split_count")
 """Flags on which no bit depends (devices share a batch, not a member)."""
@@ -36,6 +38,13 @@ class Along:
     values: Sequence[Any]
 
 
+class Brought(Protocol):
+    """Arrays that each member has for itself, beside its values on the axes."""
+
+    def of(self, members: np.ndarray) -> dict[str, Any]:
+        """Entries of the points of members [n], each a pytree of arrays [n, ...]."""
+
+
 @dataclass(frozen=True)
 class Work:
     """Everything that computing a member needs; can be sent to another process.
@@ -49,6 +58,8 @@ class Work:
         threads: see `pool_threads`; of the process that computes.
         shared: data, or `Along`.
         alive_bytes: what a member keeps alive while it runs, see `trace_member`; 0 where nobody knows.
+        stage: the steps to take of a function in stages, all if None; the grid has `STEPS` among its axes otherwise.
+        brought: what each member brings along for itself.
     """
 
     fn: MemberFn
@@ -59,6 +70,8 @@ class Work:
     threads: int
     shared: Any
     alive_bytes: int = 0
+    stage: Stage | None = None
+    brought: "Brought | None" = None
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what is cached: a program stays in its process.
@@ -90,21 +103,40 @@ class Work:
     def arguments(self, lot: np.ndarray) -> tuple[dict[str, np.ndarray], Any]:
         """Points [devices * lanes] and data of a batch."""
         members = _filled(lot)
-        points = self.grid.points(members.ravel(), list(self.grid.axes))
+        points = self.grid.points(members.ravel(), self._seen)
+        if self.brought is not None:
+            points |= self.brought.of(members.ravel())
+        return points, self._data(members)
+
+    @property
+    def _seen(self) -> list[str]:
+        """Axes whose values the member function is given."""
+        return [name for name in self.grid.axes if self.stage is None or name != STEPS]
+
+    def _data(self, members: np.ndarray) -> Any:
+        """Data of a batch [devices, lanes]."""
         if not isinstance(self.shared, Along):
-            return points, self._common
+            return self._common
         each = members[:, 0] if self.batch.grouped else members.ravel()
-        return points, self._stack(tuple(self._outer_of(each).tolist()))
+        return self._stack(tuple(self._outer_of(each).tolist()))
 
     def compute(self, lot: np.ndarray) -> np.ndarray:
         """The members of a batch as rows, on the host."""
+        return self.rows(*self.outputs(lot))
+
+    def outputs(self, lot: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """The members of a batch [n], and what each gave [n, ...] by name, on the host."""
         real = lot.ravel() != PADDING
-        outputs = {name: values[real] for name, values in self._outputs(lot).items()}
-        diverged = np.zeros(int(real.sum()), bool)
+        found, keep = self._outputs(lot), self.stage is not None and self.stage.keep
+        wanted = {name: values[real] for name, values in found.items() if keep or not name.startswith(STATE)}
+        return lot.ravel()[real], wanted
+
+    def rows(self, members: np.ndarray, outputs: dict[str, np.ndarray]) -> np.ndarray:
+        """Members and what they gave, as rows."""
+        diverged = np.zeros(len(members), bool)
         for values in outputs.values():
             if values.dtype.kind == "f":
                 diverged |= ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-        members = lot.ravel()[real]
         return rows_of(self.grid, members, [self.digests[i] for i in self.data_of(members)], outputs, diverged)
 
     def places_agree(self, members: np.ndarray) -> bool:
@@ -123,7 +155,7 @@ class Work:
         if self.program.key not in _agreed:
             lot = self.lots(members)[0]
             one, other = _filled(lot), _filled(lot)[:, ::-1]
-            found, again = self._outputs(lot), self.program(*self.arguments(other))
+            found, again = (self.program.whole(*self.arguments(part)) for part in (lot, other))
             _agreed[self.program.key] = all(
                 _are_equal([*values[one.ravel() == member], *again[name][other.ravel() == member]])
                 for name, values in found.items()
@@ -147,10 +179,13 @@ class Work:
     @cached_property
     def digests(self) -> list[bytes]:
         """What identifies the data of each outer value, or of all members."""
-        return [data_digest(d) for d in (self.shared.values if isinstance(self.shared, Along) else [self.shared])]
+        values = self.shared.values if isinstance(self.shared, Along) else [self.shared]
+        known = {id(data): data for data in values}  # one may stand at several places
+        found = {key: data_digest(data) for key, data in known.items()}
+        return [found[id(data)] for data in values]
 
     @cached_property
-    def program(self) -> Program:
+    def program(self) -> Program | StagedProgram:
         """The program of every batch, lowered."""
         return self._program(self.devices)
 
@@ -159,11 +194,27 @@ class Work:
         """Hash of the program's text on one device: what a machine's size does not change."""
         return (self.program if self.devices == 1 else self._program(1)).text_hash
 
-    def _program(self, devices: int) -> Program:
+    def _program(self, devices: int) -> Program | StagedProgram:
         along = isinstance(self.shared, Along)
-        outer = () if self.outer is None else self.grid.groups[self.outer]
-        function = batch_function(self.fn, self.batch, outer, along, devices)
-        return Program(function, self.fn, devices, self.arguments(np.zeros((devices, self.batch.lanes), int)))
+        outer = () if self.outer is None else [name for name in self.grid.groups[self.outer] if name in self._seen]
+        members = np.zeros((devices, self.batch.lanes), int)
+        points, shared = self.grid.points(members.ravel(), self._seen), self._data(members)
+
+        def lower(fn: Any, called: Any, points: Any, *same: Any) -> Program:
+            function = batch_function(fn, self.batch, outer, along, devices)
+            return Program(function, called, devices, (points, shared, *same))
+
+        if not isinstance(self.fn, Staged):
+            return lower(self.fn, self.fn, points)
+        stage = self.stage or Stage(0, self.fn.steps, False)
+        return StagedProgram(self.fn, self.form, stage, points, lower)
+
+    @cached_property
+    def form(self) -> Form:
+        """What the state of a member is made of, of a function in stages."""
+        assert isinstance(self.fn, Staged)
+        example = {name: self.grid.codes(name)[0] for name in self._seen}
+        return form_of(self.fn, example, self.shared.values[0] if isinstance(self.shared, Along) else self.shared)
 
     @cached_property
     def _common(self) -> Any:
@@ -194,16 +245,23 @@ def _are_equal(arrays: Sequence[np.ndarray]) -> bool:
 
 def identity(work: Work, settings: dict[str, Any]) -> dict[str, Any]:
     """What a member's bits depend on beside its point and the data that differ along an axis, as JSON."""
-    fn = work.fn.func if isinstance(work.fn, partial) else work.fn
-    named = fn if hasattr(fn, "__qualname__") else type(fn)
     return {
         "settings": settings,
-        "function": f"{named.__module__}.{named.__qualname__}",
+        "function": _name_of(work.fn),
         "program": work.text_hash,
         "data": work.shared.axis if isinstance(work.shared, Along) else work.digests[0].hex(),
         "execution": asdict(work.batch),
         "environment": environment(work.threads),
     }
+
+
+def _name_of(fn: MemberFn) -> str:
+    """What stores call a function."""
+    if isinstance(fn, Staged):
+        return fn.named
+    fn = fn.func if isinstance(fn, partial) else fn
+    named = fn if hasattr(fn, "__qualname__") else type(fn)
+    return f"{named.__module__}.{named.__qualname__}"
 
 
 def environment(threads: int) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import pytest
 
 from ovibjax.cli.sweep_train import SweepTrain
 from ovibjax.runtime import precision_choice
+from ovibjax.sweep import program
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.store import open_dataset
 from tests.cli.cases import done_here, ovibjax, said_of_bad_input
@@ -140,9 +141,48 @@ def test_the_operands_are_in_the_store(store, features, refused):
     assert "settings.precision is" in refused(*command, "--precision", other)
 
 
+@pytest.mark.slow
+def test_halving_trains_the_best_third_to_the_end(features, tmp_path, monkeypatch, capsys):
+    """And the winner has the bits of the same point trained alone."""
+    out, axes = tmp_path / "h.zarr", ("--gamma", "0", "--seed", "0:2", "--prefix", "8", "--latent", "8")
+    search = ("--sobol", 7, "--beta", "log:1e-4:10", "--lr", "log:1e-3:1e-2", "--halving", 3)
+    common = ("--steps", 40, "--batch", 32, "--data", features)
+    before = program.compilations
+    done_here(monkeypatch, capsys, "sweep", "train", *axes, *search, *common, "--out", out)
+    compiled = program.compilations
+    assert compiled <= before + 3  # a program a stage
+    dataset = open_dataset(out)
+    assert dataset.finished.all() and dict(dataset.finished.sizes) == {
+        "alpha": 1,
+        "beta_lr_steps": 10,
+        "gamma": 1,
+        "weight_decay": 1,
+        "nesting": 1,
+        "seed": 2,
+    }
+    said = done_here(monkeypatch, capsys, "best", out, "--minimise", "val_mean_m").splitlines()
+    assert any("among points trained for 40 steps" in line for line in said)
+    command = next(line for line in said if line.startswith("ovibjax sweep train")).split()
+    assert "--halving" not in command and command.count("--steps") == 1
+    alone = tmp_path / "alone.zarr"
+    command[command.index("--out") + 1] = str(alone)
+    done_here(monkeypatch, capsys, *command[1:], "--data", features)
+    one, end = open_dataset(alone), dataset.isel(beta_lr_steps=np.flatnonzero(dataset.steps == 40))
+    at = int(np.flatnonzero(end.beta.values == one.beta.values)[0])
+    assert program.compilations == compiled
+    for name in one.data_vars:
+        found = one[name].isel(beta=0, lr=0).transpose("seed", ...).values
+        assert found.tobytes() == end[name].isel(beta_lr_steps=at).transpose("seed", ...).values.tobytes(), name
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
+        (("--halving", "1"), "--halving 1: one point in so many goes on, so give 2 or more"),
+        (("--rungs", "2"), "--rungs 2: it is for --halving"),
+        (("--halving", "3", "--rungs", "0"), "--rungs 0 is not positive"),
+        (("--halving", "3", "--shard", "1/2"), "--shard 1/2: --halving compares all points; leave one of the two out"),
+        (("--halving", "3", "--on", "ray"), "--on ray: --halving runs on this machine; leave one of the two out"),
         (("--bta", "1"), "--bta: sweep train has no such option; did you mean --beta?"),
         (("--gamma", "-1"), "--gamma -1: values are zero or more"),
         (("--beta", "abc"), "--beta abc: not a number"),
