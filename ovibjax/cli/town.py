@@ -25,7 +25,7 @@ class Town:
     def run(self) -> None:
         """Run the command."""
         from ovibjax.runtime.progress import progress_bar
-        from ovibjax.world.town.files import write_frames
+        from ovibjax.world.town.files import check_drive, write_frames
         from ovibjax.world.town.layout import TownConfig
         from ovibjax.world.town.picture import contact_sheet
 
@@ -33,6 +33,8 @@ class Town:
             if value < 0:
                 raise InputError(f"--{name} {value} is negative")
         config = TownConfig(seed=self.seed, style=self.style)
+        if self.frames:
+            check_drive(self.out, config, self.frames, self.route)  # before the sheet of another town is drawn over
         try:
             self.out.mkdir(parents=True, exist_ok=True)
             with console.status("drawing the contact sheet"):

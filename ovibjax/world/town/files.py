@@ -24,6 +24,7 @@ DEPTH_FAR_CM = 65535
 """Depth of the sky and of all that is too far for 16 bits of centimetres."""
 
 _KINDS = ("rgb", "depth", "semantic")
+_CALIBRATION = Path("calibration", "camera_calibration.json")
 
 
 def check_seeds(path: StrPath, config: TownConfig, seed: int) -> None:
@@ -77,8 +78,9 @@ def write_frames(
     try:
         for folder in ("calibration", "metadata", *(f"{kind}/{view}" for kind in _KINDS for view in VIEWS)):
             (out / folder).mkdir(parents=True, exist_ok=True)
-        calibration = _calibration(town_config, n_frames, seed)
-        _write_calibration(out / "calibration" / "camera_calibration.json", calibration)
+        check_drive(out, town_config, n_frames, seed)
+        if not (out / _CALIBRATION).exists():
+            write_whole(out / _CALIBRATION, _json(_calibration(town_config, n_frames, seed)))
         todo = np.array([frame for frame in range(n_frames) if not _is_finished(out, frame)], np.int64)
         for done, (frame, views) in enumerate(render_frames(town, route, todo), n_frames - len(todo) + 1):
             for (kind, view), pixels in _images(views).items():
@@ -174,9 +176,18 @@ def _calibration(config: TownConfig, n_frames: int, seed: int) -> dict[str, Any]
     }
 
 
-def _write_calibration(path: Path, calibration: dict[str, Any]) -> None:
-    """Write the calibration, or refuse the folder of another drive, whose frames would mix with ours."""
-    if not path.exists():
-        write_whole(path, _json(calibration))
-    elif path.read_bytes() != _json(calibration):
+def check_drive(out: StrPath, town_config: TownConfig, n_frames: int, seed: int = 0) -> None:
+    """Refuse a folder that holds frames of another drive, before anything is drawn into it.
+
+    Args:
+        out: folder.
+        town_config: the town.
+        n_frames: length of the drive.
+        seed: the drive.
+
+    Raises:
+        InputError: the folder's frames are of another drive and would mix with these.
+    """
+    path = Path(out) / _CALIBRATION
+    if path.exists() and path.read_bytes() != _json(_calibration(town_config, n_frames, seed)):
         raise refusal(path, "describes frames of another drive; name an empty folder")
