@@ -205,9 +205,9 @@ def going_on_in(store: Path) -> Iterator[None]:
     try:
         yield
     except Interrupted as error:
-        done = error.dataset.finished
+        done, total = error.dataset.finished, error.dataset.attrs.get("asked", error.dataset.finished.size)
         raise KeyboardInterrupt(
-            f"interrupted; {int(done.sum())} of {done.size} members are in {store}: repeat the command to go on"
+            f"interrupted; {int(done.sum())} of {total} members are in {store}: repeat the command to go on"
         ) from None
 
 

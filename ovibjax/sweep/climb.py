@@ -125,6 +125,7 @@ class Climb:
         dataset.attrs["rungs"] = [
             {"steps": cut, "points": len(points)} for points, cut in zip(reached, cuts, strict=True)
         ]
+        dataset.attrs["asked"] = self._total
         dataset.attrs["spent"] = steps / (len(plan.asked) * plan.cuts[-1])
         return dataset
 

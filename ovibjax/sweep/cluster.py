@@ -28,8 +28,8 @@ from ovibjax.sweep.engine import Executor
 from ovibjax.sweep.grid import Grid
 from ovibjax.sweep.pickling import by_value
 from ovibjax.sweep.store import attach
-from ovibjax.sweep.work import PADDING, Work, environment
-from ovibjax.sweep.worker import Assignment, compute_task
+from ovibjax.sweep.work import PADDING, Work
+from ovibjax.sweep.worker import Assignment, compute_task, frozen_environment
 
 # A task whose worker dies this often is given up, ...
 _ATTEMPTS = 3
@@ -94,7 +94,7 @@ def _assignment(ray: Any, work: Work, path: Path | None) -> Assignment:
     return Assignment(
         held,
         None if where is None else (where, digest(attach(where).config)),
-        tuple(environment(work.threads).items()),
+        tuple(frozen_environment(work.threads).items()),
         work.text_hash,
         tuple((name, getattr(jax.config, name)) for name in _JAX_SETTINGS),
     )

@@ -18,7 +18,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from ovibjax.errors import InputError
@@ -171,8 +171,7 @@ def batch_function(
 
     if devices == 1:
         return together
-    mesh = Mesh(np.array(jax.local_devices()[:devices]), ("members",))
-    split = P("members")
+    mesh, split = _mesh(devices), P("members")
 
     def shared_out(points: dict[str, jax.Array], shared: Any, *same: Any) -> dict[str, jax.Array]:
         specs = (split, split if along else P(), *[P()] * len(same))
@@ -180,6 +179,15 @@ def batch_function(
         return shared_out(points, shared, *same)
 
     return shared_out
+
+
+def _mesh(devices: int) -> Mesh:
+    return Mesh(np.array(jax.local_devices()[:devices]), ("members",))
+
+
+def by_member(devices: int) -> NamedSharding | None:
+    """How arrays that lead with [D * lanes] lie on several devices between two programs; None for one device."""
+    return None if devices == 1 else NamedSharding(_mesh(devices), P("members"))
 
 
 class Program:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ovibjax.sweep.program import Program
+from ovibjax.sweep.program import Program, by_member
 from ovibjax.sweep.staged import STATE, Form, Staged
 
 
@@ -33,7 +33,9 @@ class StagedProgram:
         key: what tells them from all other programs of this process.
     """
 
-    def __init__(self, staged: Staged, form: Form, stage: Stage, points: Any, lower: Callable[..., Program]) -> None:
+    def __init__(
+        self, staged: Staged, form: Form, stage: Stage, points: Any, devices: int, lower: Callable[..., Program]
+    ) -> None:
         """Lower every stage.
 
         Args:
@@ -41,12 +43,14 @@ class StagedProgram:
             form: what its state is made of.
             stage: the steps to take.
             points: points of a batch, or their shapes.
+            devices: that share a batch.
             lower: makes a program of a member function, the function that it calls, points, and what is the same for
                 all members.
         """
         self._form, self._stage = form, stage
-        n = len(jax.tree.leaves(points)[0])
-        state = {STATE: tuple(jax.ShapeDtypeStruct((n, *leaf.shape), leaf.dtype) for leaf in form.leaves)}
+        n, place = len(jax.tree.leaves(points)[0]), by_member(devices)
+        leaves = [jax.ShapeDtypeStruct((n, *leaf.shape), leaf.dtype, sharding=place) for leaf in form.leaves]
+        state = {STATE: tuple(leaves)}
         points = {name: values for name, values in points.items() if name != STATE}
         self._begin = lower(form.begin(staged), staged.begin, points)
         self._go_on = lower(form.go_on(staged), staged.go_on, points | state, np.int32(0), np.int32(0))

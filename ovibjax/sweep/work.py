@@ -207,7 +207,7 @@ class Work:
         if not isinstance(self.fn, Staged):
             return lower(self.fn, self.fn, points)
         stage = self.stage or Stage(0, self.fn.steps, False)
-        return StagedProgram(self.fn, self.form, stage, points, lower)
+        return StagedProgram(self.fn, self.form, stage, points, devices, lower)
 
     @cached_property
     def form(self) -> Form:

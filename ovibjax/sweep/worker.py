@@ -24,7 +24,7 @@ class Assignment:
     Attributes:
         work: reference to the work in Ray's object store.
         store: the store and the digest of its configuration; None to send arrays back.
-        environment: names and values of `work.environment`, which must be the same.
+        environment: names and values of `frozen_environment`, which must be the same.
         program: hash of the program's text.
         settings: jax's configuration.
     """
@@ -34,6 +34,11 @@ class Assignment:
     environment: tuple[tuple[str, Any], ...]
     program: str
     settings: tuple[tuple[str, Any], ...]
+
+
+def frozen_environment(threads: int) -> dict[str, Any]:
+    """What `work.environment` says, lists as tuples: an assignment is hashed."""
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in environment(threads).items()}
 
 
 def compute_task(assignment: Assignment, lots: np.ndarray) -> np.ndarray | None:
@@ -56,7 +61,7 @@ def begin(assignment: Assignment) -> tuple[Work, Path | None]:
     here = f"the worker on {socket.gethostname()}"
     for name, value in assignment.settings:
         jax.config.update(name, value)
-    mine = environment(pool_threads())
+    mine = frozen_environment(pool_threads())
     for name, there in assignment.environment:
         if mine.get(name) != there:
             raise InputError(

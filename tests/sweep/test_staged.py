@@ -9,6 +9,7 @@ from ovibjax.errors import InputError
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.halving import halve
 from ovibjax.sweep.staged import Staged, form_of
+from ovibjax.sweep.store import open_dataset
 from ovibjax.sweep.work import Along
 from tests.sweep.members import finish, start
 from tests.sweep.staged_members import AXES, DATA, FUNCTIONS, differences, halved, last_of, momentum
@@ -45,6 +46,22 @@ print("same")
 
 def test_with_optimized_machine_code_too():
     assert finish(start(OPTIMIZED)) == "same\n"
+
+
+DEVICES = """
+import sys
+from ovibjax.sweep.engine import run
+from tests.sweep.staged_members import AXES, DATA, halved, momentum
+halved(store=f"{sys.argv[1]}/h.zarr", lanes=2)
+run(momentum(), AXES, DATA, store=f"{sys.argv[1]}/w.zarr", lanes=2)
+"""
+
+
+def test_on_several_devices(tmp_path):
+    finish(start(DEVICES, tmp_path, devices=3, threads=3))
+    at_three = open_dataset(tmp_path / "h.zarr")
+    assert not differences(at_three, open_dataset(tmp_path / "w.zarr"))
+    assert not differences(at_three, run(momentum(), AXES, DATA, lanes=2))
 
 
 def test_data_that_differ_along_an_axis():
