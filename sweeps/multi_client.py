@@ -63,7 +63,7 @@ def run(job: Job) -> None:
     write_claims(job.out / "claims.json", judge_claims(found))
     with job.stage("draw"):
         panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.3)
-    facts = {"phase_spread_s": PHASE_SPREAD_S, "ties": PAPER_TIES, "requests": found.requests}
+    facts: dict[str, Any] = {"phase_spread_s": PHASE_SPREAD_S, "ties": PAPER_TIES, "requests": found.requests}
     job.record(TITLE, caption(found, seeds), seeds, started, **facts)
 
 

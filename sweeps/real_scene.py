@@ -62,10 +62,8 @@ def run(job: Job) -> None:
             scenes = embedded_scenes(rooms)
     else:
         scenes = {platform_of(job.features): {0: (job.features, job.queries)}}
-    found = [
-        measure(job.sweep, name, of_name, seeds, preset.steps, preset.checkpoints, job.rank)
-        for name, of_name in scenes.items()
-    ]
+    size = (seeds, preset.steps, preset.checkpoints, job.rank)
+    found = [measure(job.sweep, name, of_name, *size) for name, of_name in scenes.items()]
     write_rows(job.out / "table.csv", [row for platform in found for row in table_rows(platform)])
     write_rows(job.out / "summary.csv", [row for platform in found for row in summary_rows(platform)])
     write_claims(job.out / "claims.json", [claim for platform in found for claim in judge_claims(platform)])
@@ -75,6 +73,7 @@ def run(job: Job) -> None:
             room_sheet([(name, room_config(name, rooms[0])) for name in PLATFORMS], job.out / "rooms.png")
     job.record(
         *(TITLE, caption(found, job.embedded), seeds, started),
+        over=(len(rooms), "rooms") if job.embedded else None,
         frames=", ".join(f"{platform.name} {platform.counts}" for platform in found),
         data="embedded rooms" if job.embedded else Path(job.source).name,
         rooms=" ".join(map(str, rooms)) if job.embedded else "1",

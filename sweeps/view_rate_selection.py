@@ -1,6 +1,7 @@
 """Fig. "View-mode behavior under the budget": where uploads go, what they change, and the prior behind the choice."""
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -143,6 +144,12 @@ def caption(found: ControlStudy) -> str:
     )
 
 
+def _small_names(ax: Axes, contexts: Sequence[str]) -> None:
+    """Names of contexts side by side, smaller where `unknown` is a fourth."""
+    if len(contexts) > len(PAPER_SHARE):
+        ax.tick_params(axis="x", labelsize=5.5)
+
+
 def _draw_share(ax: Axes, found: ControlStudy) -> None:
     contexts = found.scene.contexts
     x = range(len(contexts))
@@ -157,6 +164,7 @@ def _draw_share(ax: Axes, found: ControlStudy) -> None:
     paper = [PAPER_SHARE.get(name, np.nan) for name in contexts]
     ax.plot(x, paper, "_", ms=13, mew=1.6, color="black", label="paper, total")
     ax.set_xticks(x, contexts)
+    _small_names(ax, contexts)
     ax.grid(visible=False, axis="x")
     ax.set(ylabel="slots with an upload (%)")
     ax.legend(loc="upper left")
@@ -169,6 +177,7 @@ def _draw_risk(ax: Axes, found: ControlStudy) -> None:
         spans = [_span(at_requests(found, c, field)) for c in range(len(found.scene.contexts))]
         series.append((label, colour, [Interval(float(np.nan_to_num(span.mean)), span.half) for span in spans]))
     panels.columns(ax, found.scene.contexts, series)
+    _small_names(ax, found.scene.contexts)
     top = max(span.mean + span.cap for _, _, spans in series for span in spans)
     ax.set(ylabel="median (m)", ylim=(0, 1.3 * max(1.0, top)))
     ax.legend(loc="upper center", ncols=3, columnspacing=0.8, handlelength=1.0)
@@ -179,6 +188,7 @@ def _draw_prior(ax: Axes, found: ControlStudy) -> None:
     modes = found.scene.actions.modes
     series = [(mode, MODE_COLOURS[mode], [Interval(m, 0.0) for m in compact[:, i]]) for i, mode in enumerate(modes)]
     panels.columns(ax, found.scene.contexts, series)
+    _small_names(ax, found.scene.contexts)
     ax.set(ylabel="median residual (m)", ylim=(0, 1.3 * float(found.scene.predictor_m.max())))
     ax.legend(loc="upper center", ncols=4, columnspacing=0.8, handlelength=1.0)
 

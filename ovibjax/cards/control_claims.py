@@ -6,16 +6,16 @@ import numpy as np
 
 from ovibjax.cards.control_drawing import MODEL_NAMES, NAMES, PAPER_MEAN_M
 from ovibjax.cards.control_results import PAIRED, reductions
-from ovibjax.cards.control_study import EXPECTED, FUSED, GATED, PAPER, TRANSFER, ControlStudy, Point
+from ovibjax.cards.control_study import EXPECTED, FUSED, PAPER, TRANSFER, ControlStudy, Point
 from ovibjax.control.controller import PAPER_BUDGET_KB
 from ovibjax.report.claims import Claim, interval
 
 
 def judge_claims(found: ControlStudy) -> list[Claim]:
-    """The paper's statements, the same where corrections are fused or gated, and what belongs beside them."""
+    """The paper's statements, the same where corrections are fused, and what belongs beside them."""
     return [
         *_papers(found, PAPER),
-        *(claim.as_own() for point in (FUSED, GATED) for claim in _papers(found, point)),
+        *(claim.as_own() for claim in _papers(found, FUSED)),
         *(claim.as_own() for claim in _beside(found)),
         _same_count(found),
         _compact(found),
@@ -23,7 +23,7 @@ def judge_claims(found: ControlStudy) -> list[Claim]:
 
 
 def _beside(found: ControlStudy) -> list[Claim]:
-    drifts = [GATED._replace(model=model) for model in MODEL_NAMES if model != "rate"]
+    drifts = [point._replace(model=model) for point in (PAPER, FUSED) for model in MODEL_NAMES if model != "rate"]
     return [
         *(_other_drift(found, point) for point in drifts if point in found.points),
         *(_expected(found, point) for point in EXPECTED),

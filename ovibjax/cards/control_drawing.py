@@ -101,7 +101,7 @@ def draw_mean_and_p95(ax: Axes, found: ControlStudy, point: Point) -> None:
     ax.legend(ax.get_legend_handles_labels()[0], ["paper (mean, p95)"], loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
-def draw_ratios(ax: Axes, found: ControlStudy, metric: str, paper_percent: float, gate_sigma: float) -> None:
+def draw_ratios(ax: Axes, found: ControlStudy, metric: str, paper_percent: float, base: Point = PAPER) -> None:
     """An error relative to budgeted periodic's by drift model, as rates or budget are scaled.
 
     Args:
@@ -109,9 +109,8 @@ def draw_ratios(ax: Axes, found: ControlStudy, metric: str, paper_percent: float
         found: the study.
         metric: `mean_m` or `p95_m`.
         paper_percent: the paper's reduction, on its own route.
-        gate_sigma: gate on corrections, infinite for none.
+        base: the setting that is varied.
     """
-    base = PAPER._replace(gate_sigma=gate_sigma)
     for shift, (model, colour) in enumerate(MODEL_COLOURS.items()):
         for style, scaled in (("-", "drift"), (":", "budget")):
             points = [
@@ -131,7 +130,9 @@ def draw_ratios(ax: Axes, found: ControlStudy, metric: str, paper_percent: float
     ratio = 1.0 - paper_percent / 100.0
     ax.axhline(1.0, color="black", lw=0.6)
     ax.axhline(ratio, color="black", lw=1.0, ls="--")
-    ax.annotate("paper", (FACTORS[0], ratio), (-2, 2), textcoords="offset points")
+    ax.annotate(
+        "paper", (1.0, ratio), (2, 0), xycoords=("axes fraction", "data"), textcoords="offset points", va="center"
+    )
     ax.set_yscale("log")
     fig.plain_log_ticks(ax.yaxis)
     ax.set_xscale("log", base=2)

@@ -82,14 +82,14 @@ SENSITIVITY = tuple(
         point
         for model in DRIFT_MODELS
         for factor in FACTORS
-        for gate_sigma in (GATE_SIGMA, math.inf)
+        for correction in (PAPER.correction, FUSED.correction)
         for point in (
-            Point(model, factor, gate_sigma=gate_sigma),
-            Point(model, budget_kb=factor * PAPER_BUDGET_KB, gate_sigma=gate_sigma),
+            Point(model, factor, correction=correction),
+            Point(model, budget_kb=factor * PAPER_BUDGET_KB, correction=correction),
         )
     )
 )
-"""Every drift model with its rates or the budget scaled, with a gate and without."""
+"""Every drift model with its rates or the budget scaled; corrections that replace the estimate, and fused ones."""
 
 
 @dataclass(frozen=True)

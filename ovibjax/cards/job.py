@@ -29,6 +29,9 @@ Sweep = Callable[..., xarray.Dataset]
 STAGES = ("render", "features", "train", "judge", "codecs", "replay", "time", "draw", "other")
 """What a card's time is spent on; `other` is what it does outside of the stages that it names."""
 
+FEW = 5
+"""Below this many repetitions a caption says that intervals are wide: Student's t is 2.8 at 5 and 4.3 at 3."""
+
 _KEPT_S = 7 * 24 * 3600.0
 
 
@@ -143,8 +146,19 @@ class Job:
         """The user's feature set as a drive; None for the embedded town. InputError where it is none."""
         return None if self.embedded else require_drive(self.features, self.source, self.order)
 
-    def record(self, title: str, caption: str, seeds: Iterable[int], started: float, **facts: Any) -> None:
+    def record(
+        self,
+        title: str,
+        caption: str,
+        seeds: Iterable[int],
+        started: float,
+        *,
+        over: tuple[int, str] | None = None,
+        **facts: Any,
+    ) -> None:
         """Write `provenance.json`: what every card says of itself, and its own facts.
+
+        Where its intervals are over fewer than `FEW` repetitions, the caption says so.
 
         `precision` is that of products in training, float32 unless the card says otherwise; `stages` are the seconds of
         each stage, `compile` those of them in which programs were compiled; `code` is the hash of the code that the
@@ -155,8 +169,13 @@ class Job:
             caption: what the reader of the figure needs to know.
             seeds: seeds that finished.
             started: `time.perf_counter()` at the start.
+            over: what its intervals are over, how many and a word in the plural; the seeds by default.
             facts: what the card adds, of JSON's types.
         """
+        seeds = list(seeds)
+        count, word = (len(seeds), "seeds") if over is None else over
+        if 1 < count < FEW:
+            caption += f" {count} {word}: intervals are wide."
         common: dict[str, Any] = {"title": title, "caption": caption, "preset": self.preset, "precision": "float32"}
         common |= {"seeds": " ".join(map(str, seeds)), "frames": len(self.features.features)}
         common |= {"data": "embedded town" if self.embedded else Path(self.source).name}

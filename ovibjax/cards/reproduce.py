@@ -1,8 +1,10 @@
 """Run cards with their data, presets and output folders: the figures, tables and claims of the paper."""
 
+import json
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -26,7 +28,7 @@ from ovibjax.runtime.stage_times import Stages
 def reproduce(
     preset: str = "quick",
     only: Sequence[str] = (),
-    out: Path = Path("results"),
+    out: Path | None = None,
     data: Sequence[Path] = (),
     seed: int = 100,
     sweep: Path | None = None,
@@ -38,7 +40,7 @@ def reproduce(
     Args:
         preset: smoke, quick or full.
         only: names of the cards to run; all if empty.
-        out: results folder.
+        out: results folder; by default `results`, or `results-PRESET` beside it, see `default_folder`.
         data: a feature set of somebody else's; references and queries for a card that takes them.
         seed: first seed.
         sweep: a card of the user's own, run instead.
@@ -59,6 +61,7 @@ def reproduce(
     chosen = bool(only or sweep)
     left_out = _left_out(data, cards, chosen)
     cards = {name: card for name, card in cards.items() if name not in left_out}
+    out = default_folder(preset) if out is None else out
     # Whatever can be refused is refused before anything is rendered, and a refusal leaves no folder behind.
     require_place(out)
     if not data:
@@ -80,6 +83,33 @@ def reproduce(
     if not _run_cards(cards, lambda name: job(name=name, out=out / name, order=order, card=files[name]), lenient):
         raise InputError(f"{source}: allows no figure; the reasons are above")
     return write_result_pages(out)
+
+
+def default_folder(preset: str) -> Path:
+    """Where results go by default: `results`, or beside it where it holds figures of a longer preset.
+
+    A checkout's `results/` is a `full` run, and a few minutes of `quick` must not replace it without a word.
+
+    Args:
+        preset: the preset about to be run.
+
+    Returns:
+        `results` or `results-PRESET`; the second is said.
+    """
+    usual = Path("results")
+    longer = PRESETS[PRESETS.index(preset) + 1 :]
+    for section in sorted(usual.glob("*/provenance.json")):
+        with suppress(OSError, ValueError):
+            held = str(json.loads(section.read_text()).get("preset", "")).split(" ")[0]
+            if held in longer:
+                beside = usual.with_name(f"results-{preset}")
+                console.print(
+                    f"{usual}/ holds figures of the {held} preset; these go to {beside}/ (--out {usual} replaces them)",
+                    markup=False,
+                    highlight=False,
+                )
+                return beside
+    return usual
 
 
 def _check_options(preset: str, only: Sequence[str], seed: int, rank: int | None) -> None:

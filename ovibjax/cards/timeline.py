@@ -71,7 +71,8 @@ def legend(ax: Axes, names: tuple[str, ...]) -> None:
         "framealpha": 0.85,
         "edgecolor": "none",
     }
-    ax.legend(handles, [*labels, *names], loc="upper center", ncols=len(handles), **look)
+    size = 5.5 if len(handles) > 6 else None  # on one line
+    ax.legend(handles, [*labels, *names], loc="upper center", ncols=len(handles), fontsize=size, **look)
 
 
 def draw_timeline(

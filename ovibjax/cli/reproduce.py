@@ -21,8 +21,8 @@ class Reproduce:
     """smoke: to see that it runs; quick: trained as full, fewer seeds and points; full: what results/ holds."""
     only: tuple[str, ...] = ()
     """Names of the figures to make, e.g. scalable_compression; all by default."""
-    out: Path = Path("results")
-    """Results folder; made if missing."""
+    out: Path | None = None
+    """Results folder; made if missing. By default results, or results-PRESET where results holds a longer preset."""
     data: tuple[Path, ...] = ()
     """Your own feature set: a .npz file, or a folder view_features/<Camera>/<frame>.npz (keys feature, position).
     For real_scene two of them, references and queries: --only real_scene --data REF QUERY."""

@@ -1,5 +1,6 @@
 """What a card's job keeps between runs."""
 
+import json
 import os
 import time
 from dataclasses import dataclass
@@ -97,3 +98,19 @@ def test_an_interrupted_card_goes_on(job, monkeypatch):
     with pytest.raises(CardInterrupted, match=r"1 of 2 members are kept|2 of 2 members are kept"):
         job.kept("x", compute)
     assert job.sweep("x", fn, {"a": [1.0, 2.0]}, {"offset": jnp.float32(2)}, lanes=1).attrs["resumed"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("count", "over", "said"),
+    [
+        (1, None, ""),
+        (3, None, " 3 seeds: intervals are wide."),
+        (5, None, ""),
+        (3, (8, "rooms"), ""),
+        (3, (4, "rooms"), " 4 rooms: intervals are wide."),
+    ],
+)
+def test_a_caption_says_where_intervals_are_wide(job, count, over, said):
+    job.record("T", "What is seen.", range(count), time.perf_counter(), over=over)
+    facts = json.loads((job.out / "provenance.json").read_text())
+    assert facts["caption"] == "What is seen." + said and "over" not in facts

@@ -149,3 +149,20 @@ def test_where_time_goes_is_printed_and_kept_and_what_is_left_estimated(mine, ca
     assert left.startswith("1 of 2 figures, some ") and left.endswith(" left")
     facts = json.loads((mine / "out" / "setup" / "provenance.json").read_text())
     assert facts["stages"]["draw"] == 0.1 and set(facts["stages"]) == {"other", "draw"} and "compile" in facts
+
+
+def test_figures_of_a_longer_preset_are_not_replaced_without_a_word(mine, monkeypatch, capsys):
+    monkeypatch.chdir(mine)
+    full = mine / "results" / "b_easy"
+    full.mkdir(parents=True)
+    (full / "provenance.json").write_text('{"preset": "full"}')
+    options = {"only": ["b_easy"], "data": [mine / "mine.npz"]}
+    reproduce(preset="quick", **options)
+    assert (mine / "results-quick" / "b_easy" / "made").exists() and not (full / "made").exists()
+    said = " ".join(capsys.readouterr().err.split())
+    assert "results/ holds figures of the full preset; these go to results-quick/ (--out results replaces them)" in said
+    reproduce(preset="full", **options)
+    assert (full / "made").exists()
+    (full / "made").unlink()
+    reproduce(preset="quick", out=Path("results"), **options)
+    assert (full / "made").exists()
