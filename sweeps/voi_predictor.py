@@ -81,11 +81,11 @@ def caption(found: ControlStudy) -> str:
         f"them. (c) {len(found.seeds)} held-out seeds of that route, bars: mean error, diamonds: p95, with 95 % "
         "intervals; black ticks: the paper's values on its own route. Corrections replace the estimate where that "
         "lowers its risk. Oracle action takes the least realised residual, whatever risk comes with it. (d) "
-        "Corrections are fused with the estimate by their calibrated risk, which the paper does not say. (e) to (h) Mean "
-        "and p95 error relative to that of budgeted periodic under three models of drift, as the drift rates (solid) or the "
-        "budget (dotted) are scaled, searched anew each time; with corrections as in (c), then as in (d). Drift rates "
-        "follow from the paper's own figures (22 requests a route, each from 6 to 3 m of risk, upload shares by "
-        "context), not from this comparison."
+        "Corrections are fused with the estimate by their calibrated risk, which the paper does not say. (e) to (h) "
+        "Mean and p95 error relative to that of budgeted periodic under three models of drift, as the drift rates "
+        "(solid) or the budget (dotted) are scaled, searched anew each time; with corrections as in (c), then as in "
+        "(d). Drift rates follow from the paper's own figures (22 requests a route, each from 6 to 3 m of risk, upload "
+        "shares by context), not from this comparison."
     )
 
 
