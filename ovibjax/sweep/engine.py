@@ -24,11 +24,12 @@ from ovibjax.sweep.arrange import (
     variables_of,
 )
 from ovibjax.sweep.grid import make_grid
+from ovibjax.sweep.identity import identity
 from ovibjax.sweep.in_memory import InMemory
 from ovibjax.sweep.layout import Layout, compared, layout_of
 from ovibjax.sweep.program import MemberFn, trace_member
 from ovibjax.sweep.store import Store, config_of
-from ovibjax.sweep.work import Along, Work, identity
+from ovibjax.sweep.work import Along, Work
 
 Executor = Callable[[Work, Sequence[np.ndarray], Path | None], Iterator[tuple[int, np.ndarray | None]]]
 """Computes batches elsewhere: yields (members finished, their rows), or None for rows that a worker has stored."""

@@ -20,6 +20,7 @@ from ovibjax.sweep.arrange import batch_of, coordinates_of, outer_dimension, var
 from ovibjax.sweep.climb import Brought, Climb, Plan
 from ovibjax.sweep.engine import Interrupted
 from ovibjax.sweep.grid import make_grid
+from ovibjax.sweep.identity import identity
 from ovibjax.sweep.in_memory import InMemory
 from ovibjax.sweep.ladder import Points, cuts_of, points_of
 from ovibjax.sweep.layout import Layout, layout_of
@@ -29,7 +30,7 @@ from ovibjax.sweep.staged import STEPS, Staged
 from ovibjax.sweep.staged_program import Stage
 from ovibjax.sweep.states import States
 from ovibjax.sweep.store import Store, config_of
-from ovibjax.sweep.work import Along, Work, identity
+from ovibjax.sweep.work import Along, Work
 
 
 # Many keywords, as each says one thing about a sweep that a caller may leave out; see `run`.

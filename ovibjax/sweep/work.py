@@ -1,23 +1,18 @@
 """One sweep as work that can be done batch by batch, here or in another process."""
 
-import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
-from functools import cached_property, lru_cache, partial
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
 from typing import Any, Protocol
 
 import jax
 import numpy as np
 
-from ovibjax.runtime.hardware import instructions
 from ovibjax.sweep.grid import Grid
 from ovibjax.sweep.members import data_digest, rows_of
 from ovibjax.sweep.program import Batch, MemberFn, Program, batch_function
 from ovibjax.sweep.staged import STATE, STEPS, Form, Staged, form_of
 from ovibjax.sweep.staged_program import Stage, StagedProgram
-
-_HARMLESS = ("--xla_force_host_platform_device_count", "--xla_dump", "--xla_cpu_parallel_codegen_split_count")
-"""Flags on which no bit depends (devices share a batch, not a member)."""
 
 PADDING = -1
 """Entry of a lot that holds no member."""
@@ -241,34 +236,3 @@ def _filled(lot: np.ndarray) -> np.ndarray:
 def _are_equal(arrays: Sequence[np.ndarray]) -> bool:
     """Whether arrays are equal bit for bit."""
     return len({np.ascontiguousarray(array).tobytes() for array in arrays}) == 1
-
-
-def identity(work: Work, settings: dict[str, Any]) -> dict[str, Any]:
-    """What a member's bits depend on beside its point and the data that differ along an axis, as JSON."""
-    return {
-        "settings": settings,
-        "function": _name_of(work.fn),
-        "program": work.text_hash,
-        "data": work.shared.axis if isinstance(work.shared, Along) else work.digests[0].hex(),
-        "execution": asdict(work.batch),
-        "environment": environment(work.threads),
-    }
-
-
-def _name_of(fn: MemberFn) -> str:
-    """What stores call a function."""
-    if isinstance(fn, Staged):
-        return fn.named
-    fn = fn.func if isinstance(fn, partial) else fn
-    named = fn if hasattr(fn, "__qualname__") else type(fn)
-    return f"{named.__module__}.{named.__qualname__}"
-
-
-def environment(threads: int) -> dict[str, Any]:
-    """The part of a configuration that is not of the sweep; accelerators do not care for a CPU's threads and kind."""
-    platform = jax.default_backend()
-    found: dict[str, Any] = {"jax": jax.__version__, "platform": platform}
-    if platform == "cpu":
-        found |= {"threads": threads, "instructions": instructions()}
-    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(_HARMLESS)]
-    return found | ({"xla_flags": sorted(flags)} if flags else {})

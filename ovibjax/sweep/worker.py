@@ -12,8 +12,9 @@ import numpy as np
 from ovibjax.errors import InputError
 from ovibjax.runtime.threads import one_blas_thread, pool_threads
 from ovibjax.sweep.differences import digest
+from ovibjax.sweep.identity import environment
 from ovibjax.sweep.store import attach
-from ovibjax.sweep.work import Work, environment
+from ovibjax.sweep.work import Work
 from ovibjax.sweep.writer import Writer
 
 
@@ -37,7 +38,7 @@ class Assignment:
 
 
 def frozen_environment(threads: int) -> dict[str, Any]:
-    """What `work.environment` says, lists as tuples: an assignment is hashed."""
+    """What `identity.environment` says, lists as tuples: an assignment is hashed."""
     return {name: tuple(v) if isinstance(v, list) else v for name, v in environment(threads).items()}
 
 

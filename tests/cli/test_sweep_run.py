@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ovibjax.cli import sweep_run
+from ovibjax.cli.file_axes import asked_axes
 from ovibjax.cli.main import main
 from ovibjax.cli.sweep_run import SweepRun
 from ovibjax.errors import InputError
@@ -105,11 +106,11 @@ def test_axes_take_other_values(folder, done):
 def test_values_are_read_as_the_files_are(folder):
     (folder / "mine.py").write_text(MINE + "axes = {'x': [0.1, 1 / 3], 'n': [1], 'flag': [True], 'name': ['a,b', 'c']}")
     file = read_sweep_file(Path("mine.py"))
-    asked = sweep_run.asked_axes(("x=0.33333334,7", "n=-2:1,5", "flag=False,1", "name=a,b"), file)
+    asked = asked_axes(("x=0.33333334,7", "n=-2:1,5", "flag=False,1", "name=a,b"), file)
     values = {name: list(axis.values) for name, axis in asked.items()}
     assert values == {"x": [1 / 3, 7.0], "n": [-2, -1, 0, 5], "flag": [False, True], "name": ["a,b"]}
     with pytest.raises(InputError, match="values of n are given twice"):
-        sweep_run.asked_axes(("n=1", "n=2"), file)
+        asked_axes(("n=1", "n=2"), file)
 
 
 def test_another_sweep_on_the_same_store_is_refused(folder, done, refused):

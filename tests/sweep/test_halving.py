@@ -1,5 +1,7 @@
 """Halving: what goes on, what a store holds of it, what a second command adds; nothing is computed twice."""
 
+import resource
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -134,6 +136,36 @@ def test_a_damaged_state_is_computed_again(tmp_path):
             file.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
     same(halved(store=path), halved(lanes=1))
     assert not (path / "states").exists() and open_dataset(path).attrs["asked"] == 57
+
+
+def test_a_disk_without_room_for_states(tmp_path):
+    """One line, what was judged stays, and the same command goes on with room."""
+    path, limits = tmp_path / "a.zarr", resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def big():
+        def begin(key, point, shared):
+            return jnp.full(20_000, point["rate"])
+
+        def go_on(key, point, shared, state, first, last):
+            return jax.lax.fori_loop(first, last, lambda i, w: w * 0.5, state)
+
+        return Staged(begin, go_on, lambda key, point, shared, state: {"loss": state.mean()}, 9)
+
+    def tight(done, total):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000 if done >= 4 else limits[0], limits[1]))
+
+    axes = {"rate": [0.1 * i for i in range(1, 10)]}
+    try:
+        with pytest.raises(
+            InputError, match=r"cannot write \(File too large\); \d+ members are kept; make room"
+        ) as caught:
+            halve(big(), axes, score="loss", store=path, lanes=1, on_progress=tight)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert open_dataset(path).finished.sum() >= 4
+    same(halve(big(), axes, score="loss", store=path), halve(big(), axes, score="loss", lanes=1))
+    assert not list(path.rglob("*.partial")) and not (path / "states").exists()
 
 
 def test_states_that_a_killed_command_left_at_its_end_go_with_the_next(tmp_path):
