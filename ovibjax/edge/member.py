@@ -9,11 +9,11 @@ import jax.numpy as jnp
 from ovibjax.edge.judging import Trained, judge_prefixes
 from ovibjax.edge.localize import errors, summarize
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, positions_m
-from ovibjax.encoder.epochs import Epoch, State, schedule_of
-from ovibjax.encoder.loss import LR, Hypers, make_hypers
+from ovibjax.encoder.epochs import schedule_of
+from ovibjax.encoder.loss import LR, TERMS, Hypers, make_hypers
 from ovibjax.encoder.model import Architecture, Params, encode
 from ovibjax.encoder.rate import active_dims
-from ovibjax.encoder.train import TrainConfig, epochs_of, fit
+from ovibjax.encoder.train import TrainConfig, epoch_of, epochs_of, fit
 from ovibjax.encoder.training_data import MemberData
 from ovibjax.sweep.staged import Staged
 from ovibjax.views import full_mode, mode_mask
@@ -77,9 +77,8 @@ class TrainAndJudge:
 
     def _begin(self, key: jax.Array, point: dict[str, jax.Array], member: MemberData) -> dict[str, Any]:
         """The network before its first epoch, with its optimizer and the terms of a loss that is not yet known."""
-        epoch, trained, _ = self._epochs(key, point, member)
-        terms = jax.eval_shape(epoch, trained, jnp.int32(0))[1]
-        return {"trained": trained, "metrics": jax.tree.map(lambda term: jnp.zeros(term.shape, term.dtype), terms)}
+        trained = epochs_of(key, self._hypers(point), member.train, self.static)[1]
+        return {"trained": trained, "metrics": dict.fromkeys(("loss", *TERMS), jnp.float32(0))}
 
     # As many as a stage is given.
     def _go_on(
@@ -93,7 +92,7 @@ class TrainAndJudge:
     ) -> dict[str, Any]:
         """The network after the epochs from one step to another, and the terms of the loss in the last of them."""
         per_epoch = schedule_of(self.static.steps, self.static.batch, member.train.x.shape[0])[1]
-        epoch = self._epochs(key, point, member)[0]
+        epoch = epoch_of(key, self._hypers(point), member.train, self.static)
 
         def body(number: jax.Array, state: dict[str, Any]) -> dict[str, Any]:
             trained, metrics = epoch(state["trained"], number)
@@ -112,9 +111,6 @@ class TrainAndJudge:
     def _hypers(self, point: dict[str, jax.Array]) -> Hypers:
         given = {name: value for name, value in point.items() if name in Hypers._fields}
         return make_hypers(lr=self.lr)._replace(**given)
-
-    def _epochs(self, key: jax.Array, point: dict[str, jax.Array], member: MemberData) -> tuple[Epoch, State, int]:
-        return epochs_of(key, self._hypers(point), member.train, self.static)
 
     def _judged(self, params: Params, member: MemberData, metrics: dict[str, jax.Array]) -> dict[str, Any]:
         """Outputs of a trained network, with metrics [epochs]."""

@@ -64,6 +64,10 @@ def make_hypers(
     return Hypers(*(jnp.asarray(value, jnp.float32) for value in (alpha, beta, gamma, lr, weight_decay, nesting)))
 
 
+TERMS = ("reconstruction", "localization", "rate", "orthogonality")
+"""What `composite_loss` is made of."""
+
+
 class Batch(NamedTuple):
     """One minibatch with its sampled masks and noise.
 
@@ -121,7 +125,7 @@ def composite_loss(
         precision: type of the operands of the network's products (static).
 
     Returns:
-        The scalar loss, and the unweighted terms `reconstruction`, `localization`, `rate` (nats), `orthogonality`.
+        The scalar loss, and its unweighted `TERMS`, the rate in nats.
 
     Raises:
         ValueError: unknown prior or precision.

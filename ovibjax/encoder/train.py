@@ -5,6 +5,7 @@ that shares a key, so members that differ in their hyperparameters are paired, a
 is one large matrix product over a shared minibatch.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -203,7 +204,23 @@ def epochs_of(
     Returns:
         The epoch, its initial state, the number of epochs.
     """
-    key_init, key_order, key_steps = jax.random.split(key, 3)
+    key_init, *keys = jax.random.split(key, 3)
+    epoch, optimizer, epochs = _loop(keys, hypers, data, static, multiple)
+    params = linear_start(init(key_init, static.arch), data.x, static.arch)
+    return epoch, (params, optimizer.init(params)), epochs
+
+
+def epoch_of(key: jax.Array, hypers: Hypers, data: TrainData, static: TrainConfig) -> Epoch:
+    """One epoch of `fit`, for those who have a state already; see `epochs_of`."""
+    _, *keys = jax.random.split(key, 3)
+    return _loop(keys, hypers, data, static, 1)[0]
+
+
+def _loop(
+    keys: Sequence[jax.Array], hypers: Hypers, data: TrainData, static: TrainConfig, multiple: int
+) -> tuple[Epoch, optax.GradientTransformation, int]:
+    """One epoch, the optimizer whose state it goes on with, and how many epochs there are; keys of order and steps."""
+    key_order, key_steps = keys
     n = data.x.shape[0]
     batch, per_epoch, epochs = schedule_of(static.steps, static.batch, n)
     epochs = -(-epochs // multiple) * multiple
@@ -224,6 +241,4 @@ def epochs_of(
     def loss_of(params: Params, minibatch: Batch) -> tuple[jax.Array, dict[str, jax.Array]]:
         return composite_loss(params, minibatch, hypers, static.arch, static.prior, rows, static.precision)
 
-    params = linear_start(init(key_init, static.arch), data.x, static.arch)
-    epoch = make_epoch(key_order, optimizer, sample, loss_of, n, (batch, per_epoch))
-    return epoch, (params, optimizer.init(params)), epochs
+    return make_epoch(key_order, optimizer, sample, loss_of, n, (batch, per_epoch)), optimizer, epochs

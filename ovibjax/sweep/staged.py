@@ -111,7 +111,9 @@ class Form(NamedTuple):
 
         def function(key: jax.Array, point: dict[str, Any], shared: Any, first: Any, last: Any) -> dict[str, jax.Array]:
             values, state = self._taken_apart(point)
-            return self.stored(staged.go_on(key, values, shared, state, first, last))
+            state = staged.go_on(key, values, shared, state, first, last)
+            self._check(state, staged.named)
+            return self.stored(state)
 
         return function
 
@@ -123,6 +125,16 @@ class Form(NamedTuple):
             return staged.judge(key, values, shared, state)
 
         return function
+
+    def _check(self, state: Any, named: str) -> None:
+        """Refuse a state that is made of something else."""
+        leaves, structure = jax.tree.flatten(state)
+        here = [str(structure), *(_said(_bare(leaf), _kind(leaf)) for leaf in leaves)]
+        there = [str(self.structure), *map(_said, self.leaves, self.keys)]
+        for given, taken in zip(there, here, strict=False):
+            if given != taken:
+                told = f"{given[:150]} becomes {taken[:150]}"  # a large tree would fill the screen
+                raise InputError(f"{named}: go_on gives a state of another form than it is given: {told}")
 
     def _taken_apart(self, point: dict[str, Any]) -> tuple[dict[str, jax.Array], Any]:
         return {name: value for name, value in point.items() if name != STATE}, self.state(point[STATE])
@@ -138,33 +150,17 @@ def form_of(staged: Staged, point: dict[str, Any], shared: Any) -> Form:
 
     Returns:
         What its state is made of.
-
-    Raises:
-        InputError: going on changes what it is made of.
     """
-    forms: list[tuple[Any, list[Any]]] = []
+    seen: list[tuple[Any, list[Any]]] = []
 
-    def traced(point: dict[str, jax.Array], shared: Any, first: jax.Array, last: jax.Array) -> list[list[jax.Array]]:
-        key = jax.random.key(0)
-        begun = staged.begin(key, point, shared)
-        parts = []
-        for state in (begun, staged.go_on(key, point, shared, begun, first, last)):
-            leaves, structure = jax.tree.flatten(state)
-            forms.append((structure, [_kind(leaf) for leaf in leaves]))
-            parts.append([_bare(leaf) for leaf in leaves])
-        return parts
+    def traced(point: dict[str, jax.Array], shared: Any) -> list[jax.Array]:
+        leaves, structure = jax.tree.flatten(staged.begin(jax.random.key(0), point, shared))
+        seen.append((structure, [_kind(leaf) for leaf in leaves]))
+        return [_bare(leaf) for leaf in leaves]
 
-    begun, then = jax.eval_shape(traced, point, shared, jnp.int32(0), jnp.int32(staged.every))
-    told = [
-        [str(structure), *map(_said, leaves, kinds)]
-        for leaves, (structure, kinds) in zip((begun, then), forms, strict=True)
-    ]
-    for here, there in zip(*told, strict=False):
-        if here != there:
-            raise InputError(
-                f"{staged.named}: go_on gives a state of another form than it is given: {here} becomes {there}"
-            )
-    return Form(forms[0][0], tuple(begun), tuple(forms[0][1]))
+    leaves = jax.eval_shape(traced, point, shared)
+    structure, kinds = seen[0]
+    return Form(structure, tuple(leaves), tuple(kinds))
 
 
 def _said(leaf: Any, kind: Any) -> str:

@@ -97,7 +97,7 @@ def test_a_state_keeps_its_form():
         (lambda state: {"a": state["a"]}, "becomes"),
     ):
         with pytest.raises(InputError, match=f"go_on gives a state of another form than it is given: .*{words}"):
-            form_of(go_on(changed), {"x": np.float32(1)}, None)
+            run(go_on(changed), {"x": [1.0, 2.0]})
     for steps, every in ((0, 1), (4, 0), (5, 2), (-4, 2)):
         with pytest.raises(InputError, match="cannot be cut"):
             Staged(begin, begin, begin, steps, every)
