@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ovibjax.control.drives import SURVEY_DEG, SURVEY_M, halves, join_drives, survey
-from ovibjax.control.residuals import residuals_m
+from ovibjax.control.residuals import answers
 from ovibjax.edge.indoor_data import scene_data
 from ovibjax.edge.judging import Trained, judge_raw
 from ovibjax.edge.retrieval import brute_force
@@ -134,7 +134,7 @@ def test_residuals_are_those_of_float64(offset):
     sizes = CheckpointConfig(steps=1, rank=8, mixed=0, hidden=16, last_hidden=8)
     checkpoint = train_checkpoint(jax.random.key(0), frames.first_frames, sizes)
     references = survey(frames.positions_m, frames.yaw_rad, frames.drive, SURVEY_M, SURVEY_DEG)
-    far = residuals_m(checkpoint, frames.features, frames.positions_m, references, ACTIONS)
+    far = answers(checkpoint, frames.features, frames.positions_m, references, ACTIONS).residual_m
     whole = driven(offset).positions_m
     # Every residual is the distance to some reference, exact to a millimetre.
     apart = np.linalg.norm(whole[:, None, :2] - whole[references][None, :, :2], axis=-1)

@@ -18,7 +18,7 @@ SLOTS = 80
 
 def world_of(file, policy="voi", **changes):
     env = make_environment(file.context_share, 4.0, drift_scale=3.0)._replace(**changes)
-    control = make_controller(file.actions, bandwidth_m_per_s=20.0, budget_kb=50.0)
+    control = make_controller(file.actions, bandwidth_m_per_s=20.0, delay_m_per_s=0.5, budget_kb=50.0)
     return World(file, ControlParams(env, control), policy, SLOTS)
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ovibjax.runtime import limits, threads
-from ovibjax.sweep import engine
+from ovibjax.sweep import arrange
 from ovibjax.sweep.program import Batch
 from ovibjax.sweep.work import Work
 
@@ -137,8 +137,8 @@ def test_one_core_is_one_worker():
     ],
 )
 def test_batches_that_run_together_fit_into_memory(monkeypatch, alive, lanes, free, expected):
-    monkeypatch.setattr(engine, "free_bytes", lambda: free)
-    assert engine._fitting(Work(None, None, None, Batch(lanes, False), 1, 1, None, alive)) == expected
+    monkeypatch.setattr(arrange, "free_bytes", lambda: free)
+    assert arrange._fitting(Work(None, None, None, Batch(lanes, False), 1, 1, None, alive)) == expected
 
 
 def test_so_many_run_at_a_time(monkeypatch):

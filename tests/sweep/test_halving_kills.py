@@ -63,7 +63,7 @@ def killed(path, inner, seed, places):
 
 
 def test_killed_in_every_rung(tmp_path):
-    out = killed(tmp_path / "a.zarr", 1500, 1, [12, 36, 41, 49])
+    out = killed(tmp_path / "a.zarr", 6000, 1, [12, 36, 41, 49])
     assert set(out["rungs"]) == {0, 1, 2} and out["first"] >= 36
 
 
