@@ -233,7 +233,7 @@ def test_the_example_learns_digits(tmp_path):
 
 @pytest.mark.slow
 def test_ctrl_c_in_a_process_of_its_own(folder):
-    (folder / "mine.py").write_text(MINE.replace("STEPS = 3", "STEPS = 3_000_000").replace("range(2)", "range(40)"))
+    (folder / "mine.py").write_text(MINE.replace("STEPS = 3", "STEPS = 3_000_000").replace("range(2)", "range(4000)"))
     arguments = [sys.executable, "-m", "ovibjax", "sweep", "run", "mine.py", "--out", "a.zarr", "--lanes", "1"]
     with ctrl_c_interrupts():
         running = subprocess.Popen(
