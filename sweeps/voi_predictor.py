@@ -93,7 +93,7 @@ def _draw_predictor(ax: Axes, found: ControlStudy) -> None:
     values = found.scene.predictor_m
     texts = [[f"{value:.1f}" for value in row] for row in values]
     panels.heat(ax, values, texts, "Blues", (0.5 * values.min(), 1.1 * values.max()))
-    ax.set_xticks(range(values.shape[1]), list(found.scene.actions.names))
+    ax.set_xticks(range(values.shape[1]), list(found.scene.actions.names), fontsize=5.5)
     ax.set_yticks(range(values.shape[0]), list(found.scene.contexts))
 
 
@@ -106,8 +106,8 @@ def _draw_search(ax: Axes, found: ControlStudy) -> None:
     panels.star(ax, kb[best], risk[best], f"selected: {risk[best]:.2f} m")
     ax.axvline(PAPER_BUDGET_KB, color="black", lw=1, ls="--", label=f"budget {PAPER_BUDGET_KB} KB")
     ax.set(xlabel="largest payload of a seed (KB)", ylabel="mean local risk (m)", xlim=(0, 3.0 * PAPER_BUDGET_KB))
-    ax.set_ylim(0, 2.5 * float(risk[best]))
-    ax.legend(loc="upper right")
+    ax.set_ylim(0, 3.0 * float(risk[best]))
+    ax.legend(loc="upper right", frameon=True, framealpha=0.9, edgecolor="none")
 
 
 def _draw_with_legend(ax: Axes, found: ControlStudy) -> None:

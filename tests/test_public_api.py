@@ -116,8 +116,8 @@ SMALLER = {
 
 
 def python_blocks():
-    """Every Python example of the README files; those that train are slow."""
-    for path in filter(Path.exists, (PACKAGE.parent / "README.md", PACKAGE / "README.md")):
+    """Every Python example of the README files and guides; those that train are slow."""
+    for path in (PACKAGE.parent / "README.md", PACKAGE / "README.md", *sorted((PACKAGE.parent / "docs").glob("*.md"))):
         for i, code in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL), start=1):
             trains = any(whole in code for whole in SMALLER)
             name = f"{path.relative_to(PACKAGE.parent)}, example {i}"
@@ -154,9 +154,10 @@ def test_examples_in_readmes_run(code, monkeypatch, tmp_path, request):
     exec(compile(code, request.node.name, "exec"), {})
 
 
-def test_files_named_in_the_readme_exist():
+def test_files_named_in_the_documents_exist():
     root = PACKAGE.parent
-    named = re.findall(r"`((?:ovibjax|sweeps|examples|results|tests)/[\w/.]*)`", (root / "README.md").read_text())
+    text = "".join(path.read_text() for path in (root / "README.md", *(root / "docs").glob("*.md")))
+    named = re.findall(r"`((?:ovibjax|sweeps|examples|results|tests)/[\w/.]*)`", text)
     assert named and [name for name in named if not (root / name).exists()] == []
 
 

@@ -51,9 +51,11 @@ def draw_edge(ax: Axes, found: Congestion) -> None:
             span = interval(found.at(rule, scope, "edge_p95_ms"))
             look: dict[str, Any] = {"color": COLOURS[rule], "alpha": alpha, "error_kw": {"lw": 1, "capsize": 2}}
             ax.barh(place, span.mean, xerr=span.cap, height=0.36, **look)
+            end = span.mean + span.cap
             if rule in paper:
                 panels.paper_tick(ax, paper[rule], place, 7)
-            ax.text(span.mean + span.cap, place, f" {span.mean:.0f}", va="center", fontsize=6)
+                end = paper[rule] if 0.0 < paper[rule] - end < 25.0 else end  # the number would lie under the tick
+            ax.text(end, place, f" {span.mean:.0f}", va="center", fontsize=6)
     panels.category_axis(ax, list(NAMES.values()))
     ax.set(xlabel="edge p95 (ms): solid top decile, pale all requests")
 

@@ -59,7 +59,7 @@ def draw_edge(ax: Axes, found: xarray.Dataset) -> None:
         fig.band(ax, found.k.values, curves, COLOURS[rule], NAMES[rule], style, marker="o")
     _prefix_axis(ax, found)
     ax.set(ylabel="edge p95, top decile (ms)", ylim=(0, None))
-    ax.legend(loc="lower left", ncols=2)
+    ax.legend(loc="upper right", ncols=2)
 
 
 def pareto(points: np.ndarray) -> np.ndarray:

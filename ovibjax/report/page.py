@@ -14,7 +14,7 @@ from ovibjax.report.sections import Section, Table, read_sections
 MOST_ROWS = 20
 """Rows up to which a table stands on the page."""
 
-_MARKS = {
+MARKS = {
     HELD: "✅ held",
     ON_AVERAGE: "🟡 held on average",
     NOT_HELD: "❌ not held",
@@ -60,13 +60,13 @@ def write_page(folder: Path, parts: Mapping[str, Sequence[str]] | None = None) -
 
 def _overview(sections: Sequence[Section]) -> list[str]:
     """Claims by figure and verdict."""
-    lines = ["| part | figure | " + " | ".join(_MARKS.values()) + " |", "|---|---|" + "---|" * len(_MARKS)]
+    lines = ["| part | figure | " + " | ".join(MARKS.values()) + " |", "|---|---|" + "---|" * len(MARKS)]
     for section in sections:
         tally = Counter(claim.verdict for claim in section.claims)
-        counts = " | ".join(str(tally[verdict] or "") for verdict in _MARKS)
+        counts = " | ".join(str(tally[verdict] or "") for verdict in MARKS)
         lines.append(f"| {section.part} | [{section.title}](#{_anchor(section.title)}) | {counts} |")
     total = Counter(claim.verdict for section in sections for claim in section.claims)
-    return [*lines, "| | all | " + " | ".join(str(total[verdict]) for verdict in _MARKS) + " |", ""]
+    return [*lines, "| | all | " + " | ".join(str(total[verdict]) for verdict in MARKS) + " |", ""]
 
 
 def _anchor(title: str) -> str:
@@ -82,7 +82,7 @@ def _section(section: Section) -> list[str]:
     if section.caption:
         lines += [section.caption, ""]
     lines += ["| claim | paper | ours | verdict |", "|---|---|---|---|"]
-    lines += [_row((claim.text, claim.paper, claim.ours, _MARKS[claim.verdict])) for claim in section.claims]
+    lines += [_row((claim.text, claim.paper, claim.ours, MARKS[claim.verdict])) for claim in section.claims]
     for table in section.tables:
         lines += ["", *_table(name, table)]
     keys = ("preset", "seeds", "frames", "version", "commit", "jax")

@@ -211,9 +211,9 @@ def test_the_best_point_comes_with_its_command(folder, done):
     assert "2 members" in done(*line.split()[3:])
 
 
-def test_the_readme_holds_the_example():
+def test_the_guide_holds_the_example():
     text = (ROOT / "examples/digits.py").read_text()
-    assert f"```python\n{text}```" in (ROOT / "README.md").read_text()
+    assert f"```python\n{text}```" in (ROOT / "docs/sweeps.md").read_text()
     assert len(text.splitlines()) <= 42 and "ovibjax" not in text
 
 
