@@ -36,7 +36,9 @@ PUBLIC = {
     "ovibjax.features.images": """CODECS Extraction Frame LADDERS Skipped Source decode decode_image encode extract
         open_source""",
     "ovibjax.link": """JETSON PayloadError Request Trace draw_gain fading_power kbytes_per_s make_channel_params pack
-        profile_rate_bps rate_bps read_trace request_bytes resample semantic_latency_ms transmit_s unpack""",
+        profile_rate_bps rate_bps read_trace request_bytes resample semantic_latency_ms transmit_s unpack codes
+        CodedRequest pack_coded pack_compact unpack_coded""",
+    "ovibjax.link.codes": "CODES CodeTable Coder Grid StreamError fit_table snapped",
     "ovibjax.live": """Answer FrameReader RobotState WireError frame pack_answer pack_request unpack_answer
         unpack_request""",
     "ovibjax.report": """Claim Effects Interval Ranking band bars choose effects interval plot select sheet table

@@ -1,7 +1,12 @@
+from . import codes as codes
 from .channel import draw_gain as draw_gain
 from .channel import fading_power as fading_power
 from .channel import make_channel_params as make_channel_params
 from .channel import rate_bps as rate_bps
+from .coded_packets import CodedRequest as CodedRequest
+from .coded_packets import pack_coded as pack_coded
+from .coded_packets import pack_compact as pack_compact
+from .coded_packets import unpack_coded as unpack_coded
 from .latency import JETSON as JETSON
 from .latency import kbytes_per_s as kbytes_per_s
 from .latency import semantic_latency_ms as semantic_latency_ms
@@ -18,14 +23,18 @@ from .traces import resample as resample
 
 __all__ = [
     "JETSON",
+    "CodedRequest",
     "PayloadError",
     "Request",
     "Trace",
+    "codes",
     "draw_gain",
     "fading_power",
     "kbytes_per_s",
     "make_channel_params",
     "pack",
+    "pack_coded",
+    "pack_compact",
     "profile_rate_bps",
     "rate_bps",
     "read_trace",
@@ -34,4 +43,5 @@ __all__ = [
     "semantic_latency_ms",
     "transmit_s",
     "unpack",
+    "unpack_coded",
 ]

@@ -40,9 +40,9 @@ FLOAT_BYTES = 4
 
 _MAGIC = b"OV"
 _VERSION = 1
-_K_MAX = 256
+K_MAX = 256
 _UINT16_MAX = 0xFFFF
-_MODE_NAMES = tuple(MODES)
+MODE_NAMES = tuple(MODES)
 _HEAD = struct.Struct("<2sBBfHHHH")  # the header up to the checksum
 _CRC = struct.Struct("<I")
 
@@ -140,17 +140,17 @@ def pack(request: Request) -> bytes:
     mode, prefix = request.mode, request.prefix
     if not isinstance(mode, str) or mode not in MODES:
         raise PayloadError(f"mode {mode!r} is not one of {', '.join(MODES)}")
-    if prefix.ndim != 1 or not 1 <= prefix.size <= _K_MAX:
-        raise PayloadError(f"prefix must be one axis of 1 to {_K_MAX} values, not shape {prefix.shape}")
+    if prefix.ndim != 1 or not 1 <= prefix.size <= K_MAX:
+        raise PayloadError(f"prefix must be one axis of 1 to {K_MAX} values, not shape {prefix.shape}")
     _check_finite(request.voi_m, prefix)
     views, k = MODES[mode], prefix.size
     head = _HEAD.pack(
         _MAGIC,
-        _VERSION << 4 | _MODE_NAMES.index(mode),
+        _VERSION << 4 | MODE_NAMES.index(mode),
         k - 1,
         request.voi_m,
         request_bytes(k, len(views)),
-        *(_uint16(name, getattr(request, name)) for name in ("deadline_ms", "client", "sequence")),
+        *(as_uint16(name, getattr(request, name)) for name in ("deadline_ms", "client", "sequence")),
     )
     body = struct.pack(f"<{len(views)}I", *views) + prefix.astype("<f4").tobytes()
     return head + _CRC.pack(zlib.crc32(head + body)) + body
@@ -168,7 +168,7 @@ def unpack(data: bytes | bytearray | memoryview) -> Request:
     Raises:
         PayloadError: `data` is not the packet of a request; bytes cannot make it raise anything else.
     """
-    raw = _as_bytes(data)
+    raw = as_bytes(data)
     if len(raw) < HEADER_BYTES:
         raise PayloadError(f"packet of {len(raw)} bytes is shorter than the {HEADER_BYTES}-byte header")
     magic, version_mode, k_minus_1, voi_m, size, deadline_ms, client, sequence = _HEAD.unpack_from(raw)
@@ -177,9 +177,9 @@ def unpack(data: bytes | bytearray | memoryview) -> Request:
         raise PayloadError(f"magic {magic!r} is not {_MAGIC!r}")
     if version != _VERSION:
         raise PayloadError(f"version {version} is not {_VERSION}")
-    if mode_number >= len(_MODE_NAMES):
-        raise PayloadError(f"mode number {mode_number} is not in 0..{len(_MODE_NAMES) - 1}")
-    mode = _MODE_NAMES[mode_number]
+    if mode_number >= len(MODE_NAMES):
+        raise PayloadError(f"mode number {mode_number} is not in 0..{len(MODE_NAMES) - 1}")
+    mode = MODE_NAMES[mode_number]
     views = MODES[mode]
     expected = request_bytes(k, len(views))
     if size != expected:
@@ -210,7 +210,8 @@ def _float32(name: str, value: object) -> npt.NDArray[np.float32]:
         raise PayloadError(f"{name} must hold real numbers, not {value!r}") from error
 
 
-def _uint16(name: str, value: object) -> int:
+def as_uint16(name: str, value: object) -> int:
+    """A field of two bytes; refused with its name where it is no integer or too large."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError as error:
@@ -228,7 +229,8 @@ def _check_finite(voi_m: float, prefix: npt.NDArray[np.float32]) -> None:
         raise PayloadError(f"prefix[{bad[0]}] must be a finite float32, not {prefix[bad[0]]}")
 
 
-def _as_bytes(data: object) -> bytes:
+def as_bytes(data: object) -> bytes:
+    """A private copy of a packet; refused where it is no buffer of bytes."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise PayloadError(f"a packet is bytes, not {type(data).__name__}")
     try:
