@@ -49,7 +49,7 @@ class SweepTrain:
     out: Path
     """The store, a folder (NAME.zarr by custom); members that it has are not computed again."""
     beta: tuple[str, ...] = ("1e-3",)
-    """Weights of the rate term."""
+    """Weights of the rate term; with --prior bits, prices of a bit."""
     gamma: tuple[str, ...] = ("0.1",)
     """Weights of the orthogonality penalty."""
     alpha: tuple[str, ...] = ("1",)
@@ -77,8 +77,8 @@ class SweepTrain:
     """Examples per step."""
     latent: int = 128
     """Full latent dimension K."""
-    prior: Literal["gaussian", "ard"] = "gaussian"
-    """Prior of the rate term."""
+    prior: Literal["gaussian", "ard", "bits"] = "gaussian"
+    """Prior of the rate term; bits: codes are rounded to learned steps, and each pays for the bits of what is sent."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Operands of matrix products; auto: those OUT was begun with, in a new one bfloat16 where this machine is faster
     with it, else float32."""
@@ -173,7 +173,7 @@ class SweepTrain:
         executor: "Executor | None",
     ) -> None:
         from ovibjax.cards.loading import load_features
-        from ovibjax.edge.member import DIMS, SCORE, UNITS, TrainAndJudge
+        from ovibjax.edge.member import SCORE, TrainAndJudge, labels_of
         from ovibjax.encoder.training_data import member_data
         from ovibjax.sweep.engine import run
         from ovibjax.sweep.halving import halve
@@ -194,7 +194,7 @@ class SweepTrain:
         coords = {"prefix": list(prefixes), "mode": list(modes)}
         notes = {"data": str(self.data)} if self.data else None
         common: dict[str, Any] = {"zipped": zipped, "settings": settings, "notes": notes}
-        common |= {"dims": DIMS, "coords": coords, "units": UNITS}
+        common |= labels_of(self.prior) | {"coords": coords}
 
         def compute(store: Path) -> "xarray.Dataset":
             data = Along("seed", members)

@@ -13,9 +13,11 @@ import jax.numpy as jnp
 
 from ovibjax.edge.localize import errors, mix, select_eta
 from ovibjax.edge.retrieval import brute_force
-from ovibjax.encoder.model import Architecture, Params, decode, encode, locate
+from ovibjax.encoder.bits import code_of
+from ovibjax.encoder.model import Architecture, Params, decode, locate
 from ovibjax.encoder.pca import PCA, pca_coordinates, pca_decode
 from ovibjax.encoder.training_data import MemberData
+from ovibjax.link.codes.rounding import Grid, snapped
 
 
 class Trained(NamedTuple):
@@ -23,11 +25,13 @@ class Trained(NamedTuple):
 
     Attributes:
         data: data of the split; its training features are the database.
-        params: parameters of the network: encoder, decoder and localizer.
+        params: parameters of the network: encoder, decoder and localizer. One trained for bits rounds its codes.
+        grid: what the coordinates of `judge_prefixes` are rounded to besides, the network's or those of PCA.
     """
 
     data: MemberData
     params: Params
+    grid: Grid | None = None
 
 
 class Judged(NamedTuple):
@@ -80,7 +84,7 @@ def _frames(trained: Trained, arch: Architecture, view_mask: jax.Array) -> tuple
 
 def _localized(trained: Trained, arch: Architecture, descriptor: jax.Array, database: jax.Array) -> Judged:
     """Localize the frames of `_frames` from the descriptors [B, M r] that reached the edge."""
-    data, params = trained
+    data, params = trained.data, trained.params
     n_val = data.val_x.shape[0]
     truth = jnp.concatenate([data.val_m, data.test_m])
     standardized = locate(params, descriptor, arch)
@@ -126,7 +130,8 @@ def judge_prefixes(
 
     # Encoding does not depend on the prefix, and is done once.
     def code(x: jax.Array) -> jax.Array:
-        return pca_coordinates(pca, x) if pca is not None else encode(trained.params, x, arch)[0]
+        coordinates = pca_coordinates(pca, x) if pca is not None else code_of(trained.params, x, arch)
+        return snapped(trained.grid, coordinates)
 
     def received(coded: jax.Array, prefix: jax.Array) -> jax.Array:
         if pca is not None:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from ovibjax.edge.judging import Trained, judge_prefixes
 from ovibjax.edge.localize import errors, summarize
 from ovibjax.encoder.attention import AttentionConfig, fit_attention, positions_m
+from ovibjax.encoder.bits import code_bits, code_of, trained_for_bits
 from ovibjax.encoder.epochs import schedule_of
 from ovibjax.encoder.loss import LR, TERMS, Hypers, make_hypers
 from ovibjax.encoder.model import Architecture, Params, encode
@@ -27,6 +28,20 @@ DIMS = dict.fromkeys(("val_mean_m", "test_mean_m", "test_p90_m", "eta"), ("mode"
 
 SCORE = "val_mean_m"
 """The output that points are chosen by: never an error on test frames."""
+
+
+def labels_of(prior: str) -> dict[str, Any]:
+    """Dimensions and units of the outputs of members that are trained with a prior, as `sweep.run` takes them.
+
+    Args:
+        prior: one of `loss.PRIORS`.
+
+    Returns:
+        `dims` and `units`.
+    """
+    if prior != "bits":
+        return {"dims": DIMS, "units": UNITS}
+    return {"dims": DIMS | {"code_bits": ("mode", "prefix")}, "units": UNITS | {"rate": "bits", "code_bits": "bits"}}
 
 
 @dataclass(frozen=True)
@@ -57,7 +72,8 @@ class TrainAndJudge:
 
         Returns:
             Mean validation and test errors, 90th percentile of the test errors and mixing weights
-            [modes, prefixes]; terms of the loss in the last epoch; coordinates not pruned.
+            [modes, prefixes]; terms of the loss in the last epoch; coordinates not pruned. Of a training for bits, also
+            the mean length of the rounded codes of test frames under the learned prior, `code_bits` [modes, prefixes].
         """
         params, metrics = fit(key, self._hypers(point), member.train, self.static)
         return self._judged(params, member, metrics)
@@ -127,7 +143,14 @@ class TrainAndJudge:
             "active_dims": active_dims(*encode(params, x, arch)),
             **{name: values[-1] for name, values in metrics.items()},
         }
+        if trained_for_bits(params):
+            outputs["code_bits"] = jax.lax.map(lambda mask: self._code_bits(params, member.test_x, mask), masks)
         return outputs | ({"params": params["params"]} if self.keep_params else {})
+
+    def _code_bits(self, params: Params, x: jax.Array, mask: jax.Array) -> jax.Array:
+        """[prefixes] mean length of the codes of frames x [N, M, r] in one view mode."""
+        z = code_of(params, (x * mask[None, :, None]).reshape(x.shape[0], -1), self.static.arch)
+        return jnp.cumsum(jnp.mean(code_bits(params, z), axis=0))[jnp.array(self.prefixes) - 1]
 
 
 @dataclass(frozen=True)

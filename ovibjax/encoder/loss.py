@@ -8,6 +8,7 @@ from typing import NamedTuple, cast
 import jax
 import jax.numpy as jnp
 
+from ovibjax.encoder.bits import code_bits, steps_of
 from ovibjax.encoder.model import OVIB, Architecture, Params, mean_projection, split_views
 from ovibjax.encoder.orthogonality import orthogonality_penalty
 from ovibjax.encoder.rate import ard_kl, gaussian_kl
@@ -24,7 +25,7 @@ class Hypers(NamedTuple):
 
     Attributes:
         alpha: weight of the localization term (this and the next two: paper, eq. "composite_loss").
-        beta: weight of the rate term.
+        beta: weight of the rate term; where that is in bits, the price lambda of a bit.
         gamma: weight of the orthogonality penalty.
         lr: peak learning rate.
         weight_decay: decoupled weight decay of AdamW.
@@ -64,6 +65,9 @@ def make_hypers(
     return Hypers(*(jnp.asarray(value, jnp.float32) for value in (alpha, beta, gamma, lr, weight_decay, nesting)))
 
 
+PRIORS = ("gaussian", "ard", "bits")
+"""Rate terms: divergence from a standard normal or a log-uniform prior, or length in bits under a learned one."""
+
 TERMS = ("reconstruction", "localization", "rate", "orthogonality")
 """What `composite_loss` is made of."""
 
@@ -76,7 +80,7 @@ class Batch(NamedTuple):
         y: [B, 3] standardised positions.
         view_mask: [B, M] mask m_S of each example.
         prefix_mask: [B, K] mask m^(k) of each example.
-        noise: [B, K] standard normal.
+        noise: [B, K] standard normal; uniform within half of one to either side where the rate term is in bits.
     """
 
     x: jax.Array
@@ -119,19 +123,19 @@ def composite_loss(
         batch: a minibatch.
         hypers: weights of the terms.
         arch: widths of the network (static).
-        prior: "gaussian" or "ard" (static).
+        prior: one of `PRIORS` (static).
         rows: per view, the number of leading rows beyond which it is masked everywhere (static); all by default.
             It changes the work, not the result.
         precision: type of the operands of the network's products (static).
 
     Returns:
-        The scalar loss, and its unweighted `TERMS`, the rate in nats.
+        The scalar loss, and its unweighted `TERMS`, the rate in nats of all coordinates, or in bits of those sent.
 
     Raises:
         ValueError: unknown prior or precision.
     """
-    if prior not in ("gaussian", "ard"):
-        raise ValueError(f"prior is 'gaussian' or 'ard', not {prior!r}")
+    if prior not in PRIORS:
+        raise ValueError(f"prior is one of {', '.join(PRIORS)}, not {prior!r}")
     size = batch.x.shape[0]
     counts = tuple(rows or [size] * arch.n_views)
     network = OVIB(arch, precision)
@@ -139,16 +143,19 @@ def composite_loss(
     masks = [batch.view_mask[:count, view, None] for view, count in enumerate(counts)]
     views = [x * mask for x, mask in zip(split_views(batch.x, arch, counts), masks, strict=True)]
     mu, logvar = cast(tuple[jax.Array, jax.Array], network.apply(params, views, method="encode"))
-    z = mu + jnp.exp(0.5 * logvar) * batch.noise
+    z = mu + (steps_of(params)[None] if prior == "bits" else jnp.exp(0.5 * logvar)) * batch.noise
     decoded = cast(list[jax.Array], network.apply(params, z, batch.prefix_mask, counts, method="decode"))
     descriptor = [x * mask for x, mask in zip(decoded, masks, strict=True)]
     position = cast(jax.Array, network.apply(params, descriptor, method="locate"))
-    kl = gaussian_kl if prior == "gaussian" else ard_kl
+    if prior == "bits":
+        rate = jnp.sum(batch.prefix_mask * code_bits(params, z), axis=-1)
+    else:
+        rate = (gaussian_kl if prior == "gaussian" else ard_kl)(mu, logvar)
     squared_errors = [jnp.sum((x - y) ** 2) for x, y in zip(views, descriptor, strict=True)]
     terms = {
         "reconstruction": sum(squared_errors, jnp.float32(0.0)) / (size * arch.view_dim),
         "localization": jnp.mean(jnp.sum((batch.y - position) ** 2, axis=-1)),
-        "rate": jnp.mean(kl(mu, logvar)),
+        "rate": jnp.mean(rate),
         "orthogonality": orthogonality_penalty(mean_projection(params)),
     }
     loss = terms["reconstruction"] + hypers.alpha * terms["localization"]

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from ovibjax.encoder.bits import with_bits
 from ovibjax.encoder.epochs import Epoch, State, make_epoch, make_optimizer, schedule_of
 from ovibjax.encoder.linear_start import linear_paths, linear_start, principal_encoder
 from ovibjax.encoder.loss import Batch, Hypers, composite_loss
@@ -30,7 +31,7 @@ class TrainConfig:
         arch: widths of the network.
         prefixes: prefix lengths drawn per example, as often as they stand here; one length makes a fixed-rate model.
         modes: view modes trained on, in equal shares of every batch; all that the platform supports by default.
-        prior: "gaussian" (scalable model) or "ard" (fixed-rate model).
+        prior: "gaussian" (scalable model), "ard" (fixed-rate model), or "bits" (rounded codes, see `bits`).
         steps: optimizer steps, rounded up to whole epochs; by the number of examples if None (`recipe`).
         batch: examples per step, at most the number of training examples.
         warmup: steps of linear warm-up before the linear decay.
@@ -153,8 +154,15 @@ def sample_batch(key: jax.Array, index: jax.Array, data: TrainData, static: Trai
         y=data.y[index],
         view_mask=jnp.asarray(view_rows(static, size)[0]),
         prefix_mask=(jnp.arange(latent)[None] < length[:, None]).astype(jnp.float32),
-        noise=jax.random.normal(key_noise, (size, latent), jnp.float32),
+        noise=_noise(key_noise, (size, latent), static.prior),
     )
+
+
+def _noise(key: jax.Array, shape: tuple[int, int], prior: str) -> jax.Array:
+    """What stands for the width of a code, or for its rounding."""
+    if prior == "bits":
+        return jax.random.uniform(key, shape, jnp.float32, -0.5, 0.5)
+    return jax.random.normal(key, shape, jnp.float32)
 
 
 def without_nesting(key: jax.Array, prefix_mask: jax.Array, nesting: jax.Array) -> jax.Array:
@@ -207,6 +215,8 @@ def epochs_of(
     key_init, *keys = jax.random.split(key, 3)
     epoch, optimizer, epochs = _loop(keys, hypers, data, static, multiple)
     params = linear_start(init(key_init, static.arch), data.x, static.arch)
+    if static.prior == "bits":
+        params = with_bits(params, data.x, static.arch)
     return epoch, (params, optimizer.init(params)), epochs
 
 

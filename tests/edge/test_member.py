@@ -1,17 +1,21 @@
 """Member functions of encoder sweeps against the same steps done one by one."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ovibjax.edge.judging import Trained, judge, judge_prefixes
-from ovibjax.edge.member import ORDERINGS, FuseAndLocate, JudgeOrdering, TrainAndJudge
+from ovibjax.edge.member import ORDERINGS, FuseAndLocate, JudgeOrdering, TrainAndJudge, labels_of
 from ovibjax.encoder.attention import AttentionConfig
+from ovibjax.encoder.bits import code_bits
 from ovibjax.encoder.loss import make_hypers
 from ovibjax.encoder.model import decode, encode
 from ovibjax.encoder.rate import active_dims
 from ovibjax.encoder.train import fit
+from ovibjax.link.codes.rounding import Grid
 from ovibjax.views import mode_mask
 from tests.edge.cases import ARCH, KS, STATIC, two_members
 
@@ -72,3 +76,26 @@ def test_fusion_baseline_is_judged_in_metres(members):
     truth, train = np.asarray(members[0].test_m), np.asarray(members[0].train_m)
     guess = np.linalg.norm(truth - train.mean(0), axis=1).mean()
     assert 0.5 < float(found["test_mean_m"]) < guess
+
+
+def test_trained_for_bits_codes_are_rounded_before_they_are_judged(members):
+    static = dataclasses.replace(STATIC, prior="bits")
+    fn = TrainAndJudge(static, KS, ("F", "A5"), keep_params=True)
+    found = jax.jit(fn)(jax.random.key(4), {"beta": jnp.float32(0.01)}, members[0])
+    params, data = {"params": found["params"]}, members[0]
+    x = data.test_x.reshape(len(data.test_x), -1)
+    step = np.exp(found["params"]["bits"]["log_step"])
+    received = np.rint(np.asarray(encode(params, x, ARCH)[0]) / step) * step
+    cost = np.cumsum(np.asarray(code_bits(params, jnp.asarray(received))).mean(axis=0))
+    np.testing.assert_allclose(found["code_bits"][1], cost[np.array(KS) - 1], rtol=1e-3)
+    assert labels_of("bits")["units"]["rate"] == "bits" and set(labels_of("bits")["dims"]) <= set(found)
+    plain = {"params": {name: layer for name, layer in found["params"].items() if name != "bits"}}
+    # The same network whose coordinates are rounded from outside, and not at all.
+    grid = Grid(jnp.float32(step), jnp.full(8, -(2**20)), jnp.full(8, 2**20))
+    run = jax.jit(judge_prefixes, static_argnames="arch")
+    by_grid, exact = (
+        run(Trained(data, plain, rounded), arch=ARCH, view_mask=mode_mask("A5"), prefixes=jnp.array(KS))
+        for rounded in (grid, None)
+    )
+    np.testing.assert_allclose(found["test_mean_m"][1], by_grid.test_error_m.mean(1), rtol=1e-3)
+    assert not np.allclose(found["test_mean_m"][1], exact.test_error_m.mean(1), rtol=1e-3)

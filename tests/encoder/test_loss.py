@@ -101,9 +101,9 @@ def test_each_weight_scales_its_own_term(prior):
         np.testing.assert_allclose(loss, terms["reconstruction"] + 3 * terms[term], rtol=1e-5)
 
 
-@pytest.mark.parametrize("prior", ["", "Gaussian", "laplace", None])
+@pytest.mark.parametrize("prior", ["", "Gaussian", "laplace", "bit", None])
 def test_an_unknown_prior_is_an_error(prior):
-    with pytest.raises(ValueError, match=r"gaussian.*ard"):
+    with pytest.raises(ValueError, match=r"gaussian.*ard.*bits"):
         composite_loss(make_params(UAV), random_batch(UAV), make_hypers(), UAV, prior)
 
 

@@ -183,3 +183,21 @@ def adamw(param, grads, rates, weight_decay, b1=0.9, b2=0.999, eps=1e-8):
         param = param - rate * (step + weight_decay * param)
         path.append(param)
     return path
+
+
+def code_bits(z, step, mean, width):
+    """-log2 of the Gaussian's mass within half a step of z, by complementary error functions."""
+    z, step, mean, width = np.broadcast_arrays(*(np.asarray(part, np.float64) for part in (z, step, mean, width)))
+    away = np.abs(z - mean)
+    upper, lower = ((away + sign * step / 2) / width / math.sqrt(2) for sign in (-1, 1))
+    mass = 0.5 * (special.erfc(upper) - special.erfc(lower))
+    # In the far tail, where the mass is no float: the density at the near edge, over its logarithmic slope.
+    near = upper * math.sqrt(2)
+    tail = (
+        0.5 * near**2
+        + 0.5 * math.log(2 * math.pi)
+        + np.log(np.maximum(near, 1))
+        + np.log1p(1 / np.maximum(near, 1) ** 2)
+    )
+    with np.errstate(divide="ignore"):
+        return np.where(near > 30, tail, -np.log(mass)) / math.log(2)
