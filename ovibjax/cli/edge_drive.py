@@ -54,6 +54,10 @@ class EdgeDrive:
     """Of everything that is drawn: odometry, fading, urgencies, deadlines, places on the routes."""
     trace: Path | None = None
     """A measured throughput trace instead of the profile, see `ovibjax replay`; each robot begins elsewhere in it."""
+    code: str = "float32"
+    """How prefixes are sent: float32 as in the paper, int8, int4 or entropy, as far as the file has tables for them."""
+    compact: bool = False
+    """Send them under a header of about 12 bytes instead of 20 and 4 per view."""
     log: Path | None = None
     """File for a line of JSON per question; continued if it exists."""
     key_file: Path | None = None
@@ -70,9 +74,12 @@ class EdgeDrive:
         one_thread()
         from ovibjax.live.edge_file import load_edge
         from ovibjax.live.request_log import RequestLog
+        from ovibjax.live.robot_process import sending_of
 
         job = self._job()
-        address = job.address(load_edge(self.file))
+        file = load_edge(self.file)
+        sending_of(job, file)  # refused before any process begins
+        address = job.address(file)
         with RequestLog(self.log) as log:
             log.write("start", side="robots", version=1, fingerprint=address.fingerprint.hex(), **self._told())
             result = asyncio.run(self._drive(job, address))
@@ -103,7 +110,7 @@ class EdgeDrive:
             read_trace(self.trace)
         job = RobotJob(str(self.file), self.host, self.port, tuple(range(self.clients)), self.policy)
         job = replace(job, profile_kb_per_s=self.profile, seconds=self.seconds, speed=self.speed, seed=self.seed)
-        job = replace(job, budget_kb=self.budget)
+        job = replace(job, budget_kb=self.budget, code=self.code, compact=self.compact)
         job = replace(job, trace=_text(self.trace), log=_text(self.log), key_file=_text(self.key_file))
         tls = (_text(self.tls_ca), _text(self.tls_cert), _text(self.tls_key))
         return replace(job, tls_ca=tls[0], tls_cert=tls[1], tls_key=tls[2])
@@ -124,7 +131,7 @@ class EdgeDrive:
 
     def _told(self) -> dict[str, object]:
         """The drive, for the log."""
-        names = ("clients", "policy", "profile", "seconds", "speed", "seed", "budget")
+        names = ("clients", "policy", "profile", "seconds", "speed", "seed", "budget", "code", "compact")
         return {name: getattr(self, name) for name in names} | {"trace": self.trace and str(self.trace)}
 
     def _print(self, result: "FleetResult") -> None:

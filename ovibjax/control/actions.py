@@ -23,10 +23,12 @@ class ActionSet:
     Attributes:
         modes: view modes, keys of `MODES`.
         prefixes: prefix lengths k, ascending.
+        sizes_bytes: size of each action's request, where its prefix is coded otherwise than in floats.
     """
 
     modes: tuple[str, ...] = tuple(MODES)
     prefixes: tuple[int, ...] = CONTROL_PREFIXES
+    sizes_bytes: tuple[float, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.modes) * len(self.prefixes)
@@ -50,7 +52,9 @@ class ActionSet:
 
     @property
     def payload_bytes(self) -> np.ndarray:
-        """[A] float32 request size b(a) = 4 k + 20 + 4 |S|."""
+        """[A] float32 request size b(a) = 4 k + 20 + 4 |S|, or what was given."""
+        if self.sizes_bytes is not None:
+            return np.asarray(self.sizes_bytes, np.float32)
         views = np.repeat([len(MODES[mode]) for mode in self.modes], len(self.prefixes))
         return np.asarray(request_bytes(self.prefix, views), np.float32)
 

@@ -136,6 +136,25 @@ def unpack_coded(data: bytes | bytearray | memoryview) -> CodedRequest:
     return request
 
 
+def leading_packet(data: bytes) -> bytes:
+    """The packet of version 2 that bytes begin with, where others follow it in a frame.
+
+    Args:
+        data: arbitrary bytes.
+
+    Returns:
+        As many of them as its length says, or fewer where there are no more; nothing of it is checked but the mode.
+
+    Raises:
+        PayloadError: they are too short to hold a length, or of a mode that there is not.
+    """
+    begin = _HEAD.size + _CRC.size
+    if len(data) <= begin:
+        raise PayloadError(f"packet of {len(data)} bytes is shorter than its header")
+    length, at = _read_varint(data, begin)
+    return data[: at + 4 * len(MODES[_named(MODE_NAMES, "mode", data[2] & 15)]) + length]
+
+
 def varint(number: int) -> bytes:
     """A number, zero or more, seven bits a byte."""
     found = bytearray()

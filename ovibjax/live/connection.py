@@ -5,9 +5,11 @@ import secrets
 import socket
 import ssl
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from ovibjax.link.codes.coder import Coder
 from ovibjax.link.payload import Request
 from ovibjax.live.framing import FrameReader, WireError, frame
 from ovibjax.live.messages import (
@@ -55,6 +57,7 @@ class Edge(Protocol):
     limits: Limits
     key: bytes | None
     tls: ssl.SSLContext | None
+    coders: Mapping[str, Coder]
 
     def greeting(self, nonce: bytes) -> Greeting:
         """What a new connection is greeted with."""
@@ -168,7 +171,7 @@ class Connection(asyncio.Protocol):
             self._check(body)
             return
         began_s = self._loop.time()
-        request, state = unpack_request(body)
+        request, state = unpack_request(body, self._edge.coders)
         unpack_ms = 1000.0 * (self._loop.time() - began_s)
         if self.client is None:
             self.client = request.client

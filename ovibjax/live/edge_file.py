@@ -4,7 +4,8 @@ It holds the network, the edge's references as codes, and for robots in a simula
 """
 
 import json
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
 from hashlib import sha256
 from typing import Any
 
@@ -15,6 +16,9 @@ from ovibjax.control.actions import ActionSet
 from ovibjax.encoder.model import Architecture, Params, init
 from ovibjax.errors import StrPath, refusal, unreadable
 from ovibjax.features.npz import read_npz, write_npz
+from ovibjax.link.codes.coder import Coder
+from ovibjax.link.codes.rounding import Grid
+from ovibjax.link.codes.tables import CODES, CodeTable
 from ovibjax.live.messages import FINGERPRINT_BYTES
 from ovibjax.views import MODES
 
@@ -22,6 +26,7 @@ FORMAT = "ovibjax-edge 1"
 """What the array `format` of a file says."""
 
 _PARAMS = "params."
+_TABLE, _TABLE_PARTS = "code.{}.{}", ("step", "first", "last", "cumulative")
 _MOST_REFERENCES = 1 << 24
 _AT_MOST = 1 << 16  # of any width: what a damaged file claims must not take the machine's memory
 
@@ -48,6 +53,7 @@ class EdgeFile:
         route_context: [F] int32 contexts.
         route_number: [F] int32 ascending, which route a frame belongs to.
         route_residual_m: [F, A, 2] how far off the edge's answer is, x and y.
+        tables: what prefixes may be coded with, by the name of the code; none in files of earlier versions.
     """
 
     arch: Architecture
@@ -67,6 +73,12 @@ class EdgeFile:
     route_context: np.ndarray
     route_number: np.ndarray
     route_residual_m: np.ndarray
+    tables: Mapping[str, CodeTable] = field(default_factory=dict)
+
+    @property
+    def coders(self) -> dict[str, Coder]:
+        """Coders of all codes that robots and edge may use, floats among them."""
+        return {"float32": Coder("float32")} | {name: Coder(name, table) for name, table in self.tables.items()}
 
     @property
     def fingerprint(self) -> bytes:
@@ -74,12 +86,14 @@ class EdgeFile:
         text = sha256(_about(self).encode())
         for name, leaf in sorted(_flat(self.params).items()):
             text.update(name.encode() + np.ascontiguousarray(leaf, "<f4").tobytes())
-        for field in ("reference_code", "reference_m", "origin_m"):
-            text.update(np.ascontiguousarray(getattr(self, field)).tobytes())
+        for name in ("reference_code", "reference_m", "origin_m"):
+            text.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        for name, part in _tables_flat(self.tables).items():
+            text.update(name.encode() + np.ascontiguousarray(part).tobytes())
         return text.digest()[:FINGERPRINT_BYTES]
 
 
-_ARRAYS = tuple(f.name for f in fields(EdgeFile) if f.name not in ("arch", "actions", "contexts", "params"))
+_ARRAYS = tuple(f.name for f in fields(EdgeFile) if f.name not in ("arch", "actions", "contexts", "params", "tables"))
 _DTYPES = {"origin_m": np.float64, "route_context": np.int32, "route_number": np.int32}
 
 
@@ -94,7 +108,7 @@ def save_edge(path: StrPath, edge: EdgeFile) -> None:
         InputError: the file cannot be written.
     """
     arrays = {"format": np.array(FORMAT), "about": np.array(_about(edge))}
-    arrays |= {name: np.asarray(getattr(edge, name)) for name in _ARRAYS}
+    arrays |= {name: np.asarray(getattr(edge, name)) for name in _ARRAYS} | _tables_flat(edge.tables)
     write_npz(path, arrays | {_PARAMS + name: np.asarray(leaf) for name, leaf in _flat(edge.params).items()})
 
 
@@ -116,25 +130,68 @@ def load_edge(path: StrPath) -> EdgeFile:
     try:
         about = json.loads(str(read_npz(path, ("about",))["about"]))
         arch, actions, contexts = _understood(about)
+        codes = _codes_of(about)
         empty = jax.eval_shape(lambda: init(jax.random.key(0), arch))
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise unreadable(path, "array 'about' is damaged; make the file anew: ovibjax edge export", error) from error
     leaves = _flat(empty)
     names = {name: _PARAMS + name for name in leaves}
-    arrays = read_npz(path, ("format", "about", *_ARRAYS, *names.values()))
+    of_tables = [_TABLE.format(code, part) for code in codes for part in _TABLE_PARTS]
+    arrays = read_npz(path, ("format", "about", *_ARRAYS, *names.values(), *of_tables))
     found = {name: arrays[key] for name, key in names.items()}
     for name, leaf in leaves.items():
         _check(path, names[name], found[name], leaf.shape)
     params = jax.tree_util.tree_map_with_path(lambda at, _: found[_name(at)].astype(np.float32), empty)
     _check_shapes(path, arrays, arch, actions, len(contexts))
     parts = {name: arrays[name].astype(_DTYPES.get(name, np.float32)) for name in _ARRAYS}
-    return EdgeFile(arch, actions, contexts, params, **parts)
+    return EdgeFile(arch, actions, contexts, params, **parts, tables=_tables_of(path, arrays, codes, arch.latent))
 
 
 def _about(edge: EdgeFile) -> str:
     """What is not an array, as text."""
     actions = {"modes": edge.actions.modes, "prefixes": edge.actions.prefixes}
-    return json.dumps({"arch": asdict(edge.arch), **actions, "contexts": edge.contexts}, sort_keys=True)
+    codes = {"codes": sorted(edge.tables)} if edge.tables else {}
+    return json.dumps({"arch": asdict(edge.arch), **actions, "contexts": edge.contexts, **codes}, sort_keys=True)
+
+
+def _codes_of(about: Any) -> tuple[str, ...]:
+    """Codes that a file has tables for."""
+    codes = tuple(about.get("codes", ()))
+    if not set(codes) <= set(CODES[1:]):
+        raise ValueError("codes that there are not")
+    return codes
+
+
+def _tables_flat(tables: Mapping[str, CodeTable]) -> dict[str, np.ndarray]:
+    """Arrays of code tables by name: `code.int8.step`."""
+    parts = ((code, (*table.grid, table.cumulative)) for code, table in sorted(tables.items()))
+    return {
+        _TABLE.format(code, name): np.asarray(part)
+        for code, arrays in parts
+        for name, part in zip(_TABLE_PARTS, arrays, strict=True)
+    }
+
+
+def _tables_of(
+    path: StrPath, arrays: dict[str, np.ndarray], codes: tuple[str, ...], latent: int
+) -> dict[str, CodeTable]:
+    """Tables of a file, each as a coder takes it."""
+    tables = {}
+    for code in codes:
+        parts = [arrays[_TABLE.format(code, name)] for name in _TABLE_PARTS]
+        if any(part.dtype.kind not in kinds for part, kinds in zip(parts, ("f", "iu", "iu", "iu"), strict=True)):
+            raise refusal(path, f"the table of code {code} holds numbers of the wrong kind")
+        step, *whole = parts
+        first, last, cumulative = (part.astype(np.int32) for part in whole)
+        table = CodeTable(Grid(step.astype(np.float32), first, last), cumulative)
+        try:
+            Coder(code, table)
+        except ValueError as error:
+            raise refusal(path, f"the table of code {code} is damaged: {error}") from error
+        if len(step) != latent:
+            raise refusal(path, f"the table of code {code} has {len(step)} coordinates, not {latent}")
+        tables[code] = table
+    return tables
 
 
 def _understood(about: Any) -> tuple[Architecture, ActionSet, tuple[str, ...]]:

@@ -8,7 +8,7 @@ import asyncio
 import ssl
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ovibjax.errors import InputError
+from ovibjax.link.codes.coder import Coder
 from ovibjax.link.payload import Request
 from ovibjax.live.connection import Arrival, Connection, Limits
 from ovibjax.live.edge_model import EdgeModel
@@ -94,6 +95,7 @@ class EdgeServer:
 
     def __init__(self, model: EdgeModel, options: EdgeOptions, log: RequestLog) -> None:
         self.limits, self.key, self.tls = options.limits, options.key, options.tls
+        self.coders: Mapping[str, Coder] = model.file.coders
         self.counts: Counter[str] = Counter()
         self.edge_ms, self.port = Latencies(), 0
         self._model, self._options, self._log = model, options, log

@@ -21,6 +21,7 @@ from ovibjax.errors import InputError
 from ovibjax.features.basis import project
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.places import origin_of
+from ovibjax.link.codes.tables import CODES, fit_table
 from ovibjax.live.edge_file import EdgeFile
 from ovibjax.live.edge_model import descriptors, nearest
 from ovibjax.views import mode_mask
@@ -64,6 +65,8 @@ def make_edge(
     known, context = frames.known, frames.context
     expected = _expectation(trained, codes, kept, known, realised, actions)
     rows = _route_rows(frames, kept)
+    # Robots send codes of every mode; they are fitted together.
+    seen = codes[:, known].reshape(-1, codes.shape[-1])
     return EdgeFile(
         arch=trained.arch,
         actions=actions,
@@ -82,6 +85,7 @@ def make_edge(
         route_context=context[rows].astype(np.int32),
         route_number=(frames.drive[rows] - training).astype(np.int32),
         route_residual_m=realised[rows],
+        tables={code: table for code in CODES if (table := fit_table(code, seen)) is not None},
     )
 
 

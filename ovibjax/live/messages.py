@@ -9,22 +9,26 @@ All numbers are little-endian; each message is one frame (`framing`) and ends wi
 | greeting | `OG`, version, 1 if a key is wanted, 16 bytes that name the edge file, nonce 32, service ms f32     |
 | hello    | `OC`, version, 0, client u16, 0 u16, nonce 32, proof 32                                             |
 | welcome  | `OW`, version, 0, proof 32                                                                        |
-| request  | a packet of `link.payload`, and optionally the state of the robot                                 |
+| request  | a packet of `link.payload` or `link.coded_packets`, and optionally the state of the robot         |
 | state    | risk m, drift m/s, predicted delay ms, urgency, each f32                                           |
 | answer   | `OA`, version, status, client u16, sequence u16, residual m, queue, service and backlog ms f32, |
 |          | position 3 f64                                                                                     |
 
 The header of a packet holds mode, VOI, size and deadline. The scheduling value of the paper (eq. "scheduler_value")
 needs four numbers more, and how the edge gets them is not said: they are the state, 20 bytes with their checksum, which
-covers the packet too. A request without it is one without drift, risk and delay, of urgency 1.
+covers the packet too. A request without it is one without drift, risk and delay, of urgency 1; behind a compact header,
+which does not tell where the packet ends, it may not be missing.
 """
 
 import math
 import struct
 import zlib
+from collections.abc import Mapping
 from typing import NamedTuple
 
-from ovibjax.link.payload import FLOAT_BYTES, HEADER_BYTES, PayloadError, Request, request_bytes, unpack
+from ovibjax.link.codes.coder import Coder
+from ovibjax.link.payload import PayloadError, Request, request_bytes
+from ovibjax.live.coded_requests import PLAIN, read_packet
 from ovibjax.live.framing import WireError
 from ovibjax.views import MODES
 
@@ -38,12 +42,11 @@ have waiting; a mode or prefix that the edge does not serve; the edge is about t
 VALUE_LIMIT = 1e6
 """Largest number taken for a VOI, a risk, a drift rate, a delay or an urgency."""
 
-_PACKET_MAX = request_bytes(256, max(map(len, MODES.values())))
+_PACKET_MAX = request_bytes(256, max(map(len, MODES.values()))) + 1  # version 2, whose length has two bytes
 REQUEST_LIMIT_BYTES = _PACKET_MAX + STATE_BYTES
 """Longest frame that an edge accepts."""
 
-_SIZE_OFFSET = 8
-_CRC, _SIZE, _STATE = struct.Struct("<I"), struct.Struct("<H"), struct.Struct("<4f")
+_CRC, _STATE = struct.Struct("<I"), struct.Struct("<4f")
 _GREETING = struct.Struct(f"<2sBB{FINGERPRINT_BYTES}s{NONCE_BYTES}sf")
 _HELLO = struct.Struct(f"<2sBBHH{NONCE_BYTES}s{PROOF_BYTES}s")
 _WELCOME = struct.Struct(f"<2sBB{PROOF_BYTES}s")
@@ -170,24 +173,21 @@ def pack_request(packet: bytes, state: RobotState | None = None) -> bytes:
     return packet + numbers + _CRC.pack(zlib.crc32(packet + numbers))
 
 
-def unpack_request(body: bytes) -> tuple[Request, RobotState]:
+def unpack_request(body: bytes, coders: Mapping[str, Coder] = PLAIN) -> tuple[Request, RobotState]:
     """Parse a request.
 
     Args:
         body: one frame.
+        coders: what prefixes may be coded with, by the name of the code.
 
     Returns:
-        The packet, and the robot's state; the default state where it sent none.
+        The packet with its prefix decoded, and the robot's state; the default state where it sent none.
 
     Raises:
         WireError: the bytes are no request, or hold numbers that nobody can mean.
     """
-    if len(body) < HEADER_BYTES + FLOAT_BYTES:
-        raise WireError(f"frame of {len(body)} bytes is shorter than any request")
-    (size,) = _SIZE.unpack_from(body, _SIZE_OFFSET)
-    packet, rest = body[:size], body[size:]
     try:
-        request = unpack(packet)
+        request, rest = read_packet(body, coders, STATE_BYTES)
     except PayloadError as error:
         raise WireError(str(error)) from error
     if abs(request.voi_m) > VALUE_LIMIT:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ovibjax.control.environment import SLOT_S
-from ovibjax.link.payload import Request, pack
+from ovibjax.link.payload import Request
+from ovibjax.live.coded_requests import Sending
 from ovibjax.live.latencies import Latencies
 from ovibjax.live.messages import RobotState, pack_request
 from ovibjax.live.request_log import RequestLog
@@ -16,6 +17,7 @@ from ovibjax.live.robot import Decided, Robot
 from ovibjax.live.robot_link import Ended, RobotLink
 from ovibjax.live.shaping import TokenBucket
 
+_FLOATS = Sending()  # as in the paper
 _TRACK_SLOTS = 1000  # of errors in one line of the log
 
 
@@ -80,8 +82,16 @@ class RobotDriver:
         driven: what became of it so far.
     """
 
-    def __init__(self, robot: Robot, link: RobotLink, mission: Mission, clock: WorldClock, log: RequestLog) -> None:
-        self.driven = Driven()
+    def __init__(
+        self,
+        robot: Robot,
+        link: RobotLink,
+        mission: Mission,
+        clock: WorldClock,
+        log: RequestLog,
+        sending: Sending = _FLOATS,
+    ) -> None:
+        self.driven, self._sending = Driven(), sending
         self._robot, self._link, self._mission, self._clock, self._log = robot, link, mission, clock, log
         rates_bps = np.asarray(robot.draws.rate_bps)
         self._bucket = TokenBucket(rates_bps, SLOT_S)
@@ -151,7 +161,7 @@ class RobotDriver:
         mode = actions.modes[decided.action // len(actions.prefixes)]
         prefix = robot.encoded(slot, decided.action)
         deadline_ms = int(np.clip(mission.deadlines_ms[slot] / self._clock.speed, 1, 65535))
-        packet = pack(Request(mode, prefix, decided.voi_m, deadline_ms, robot.number % 65536, sequence))
+        packet = self._sending.packet(Request(mode, prefix, decided.voi_m, deadline_ms, robot.number % 65536, sequence))
         drift = float(robot.drift_m_per_s[slot])
         return pack_request(packet, RobotState(decided.risk_m, drift, 1000.0 * decided.delay_s, mission.urgency))
 

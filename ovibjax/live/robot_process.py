@@ -11,7 +11,7 @@ import signal
 import sys
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from ovibjax.control.environment import PAPER_SLOTS, SLOT_S, make_environment
 from ovibjax.errors import InputError
 from ovibjax.link.trace_files import read_trace
 from ovibjax.link.traces import Trace, resample
+from ovibjax.live.coded_requests import Sending
 from ovibjax.live.edge_file import EdgeFile, load_edge
 from ovibjax.live.request_log import RequestLog
 from ovibjax.live.robot import Robot, World
@@ -65,6 +66,8 @@ class RobotJob:
         tls_ca: who signs the edge's certificate.
         tls_cert: the robots' certificate.
         tls_key: its private key.
+        code: how prefixes are written, one of `link.codes.CODES`.
+        compact: whether under a compact header.
     """
 
     file: str
@@ -83,6 +86,8 @@ class RobotJob:
     tls_ca: str | None = None
     tls_cert: str | None = None
     tls_key: str | None = None
+    code: str = "float32"
+    compact: bool = False
 
     @property
     def slots(self) -> int:
@@ -104,6 +109,20 @@ class RobotJob:
         return EdgeAddress(self.host, self.port, file.fingerprint, read_key(self.path("key_file")), tls)
 
 
+def sending_of(job: RobotJob, file: EdgeFile) -> Sending:
+    """How the robots of a job write their requests.
+
+    Raises:
+        InputError: a code that the file has no table for.
+    """
+    if job.code == "float32" and not job.compact:
+        return Sending()
+    coders = file.coders
+    if job.code not in coders:
+        raise InputError(f"--code {job.code}: {job.file} knows {', '.join(coders)}; make it anew: ovibjax edge export")
+    return Sending(coders[job.code], job.compact)
+
+
 def world_of(job: RobotJob, file: EdgeFile) -> World:
     """The world that all robots of a job share."""
     env = make_environment(file.context_share, job.profile_kb_per_s)
@@ -113,6 +132,10 @@ def world_of(job: RobotJob, file: EdgeFile) -> World:
     budget_kb = job.budget_kb
     if budget_kb is None:
         budget_kb = PAPER_BUDGET_KB * max(job.slots / PAPER_SLOTS, _LEAST_BUDGET)
+    sending = sending_of(job, file)
+    if sending.coder is not None:
+        sizes_bytes = sending.sizes_bytes(file.actions, file.reference_code)
+        file = replace(file, actions=replace(file.actions, sizes_bytes=sizes_bytes))
     control = make_controller(file.actions, *prices, budget_kb=budget_kb)
     return World(file, ControlParams(env, control), job.policy, job.slots)
 
@@ -177,7 +200,7 @@ async def run_robots(job: RobotJob, lines: asyncio.StreamReader) -> None:
         InputError: a file that cannot be used, or an edge that these robots cannot use.
     """
     file = load_edge(job.file)
-    world, address = world_of(job, file), job.address(file)
+    world, address, sending = world_of(job, file), job.address(file), sending_of(job, file)
     trace = None if job.trace is None else read_trace(Path(job.trace))
     robot_of(job, world, 0)[0].warm_up()
     made = [(number, *robot_of(job, world, number, trace)) for number in job.clients]
@@ -192,7 +215,8 @@ async def run_robots(job: RobotJob, lines: asyncio.StreamReader) -> None:
         clock = WorldClock(loop.time(), job.speed)
         links = [RobotLink(address, number) for number, _, _ in made]
         drivers = [
-            RobotDriver(robot, link, mission, clock, log) for (_, robot, mission), link in zip(made, links, strict=True)
+            RobotDriver(robot, link, mission, clock, log, sending)
+            for (_, robot, mission), link in zip(made, links, strict=True)
         ]
         connecting = [asyncio.ensure_future(link.stay_connected()) for link in links]
         driving = [asyncio.ensure_future(driver.drive(stop)) for driver in drivers]

@@ -17,11 +17,11 @@ WHOLE = pack_request(packet(), RobotState(4.0, 0.5, 20.0, 1.5))
 
 
 def wrong_version(body):
-    return body[:2] + bytes([body[2] ^ 0x30]) + body[3:]
+    return body[:2] + bytes([body[2] ^ 0x20]) + body[3:]
 
 
 BAD = {
-    "garbage": (lambda: b"\x30\0\0\0" + bytes(range(48)), "magic"),
+    "garbage": (lambda: b"\x30\0\0\0" + bytes(range(48)), "first byte 0x00 begins no packet"),
     "HTTP": (lambda: b"GET / HTTP/1.1\r\n\r\n", "frame of"),
     "a length of gigabytes": (lambda: struct.pack("<I", 2**32 - 1), "frame of 4294967295 bytes"),
     "an empty frame": (lambda: struct.pack("<I", 0), "frame of 0 bytes"),

@@ -10,7 +10,7 @@ import pytest
 from ovibjax.live.request_log import RequestLog
 from ovibjax.live.robot_driver import RobotDriver, WorldClock
 from ovibjax.live.robot_link import RobotLink
-from ovibjax.live.robot_process import RobotJob, robot_of, world_of
+from ovibjax.live.robot_process import RobotJob, robot_of, sending_of, world_of
 from tests.live.edges import an_edge, events, run
 from tests.live.test_robot_link import address_of
 
@@ -34,7 +34,7 @@ async def drive(job, address, file, log, meanwhile=None):
         while not all(link.connected for link in links):
             await asyncio.sleep(0.01)
         drivers = [
-            RobotDriver(robot, link, mission, clock, written)
+            RobotDriver(robot, link, mission, clock, written, sending_of(job, file))
             for (robot, mission), link in zip(made, links, strict=True)
         ]
         driving = asyncio.gather(*(driver.drive(stop) for driver in drivers))
