@@ -81,7 +81,7 @@ class SweepRun:
     devices: int | None = None
     """Split the processor into so many devices; by default members run side by side, one per core."""
     threads: int | None = None
-    """Threads of one program. Bits depend on it: by default those that OUT was begun with, in a new one 1."""
+    """Threads of one program. Bits depend on it: by default those that OUT was begun with, in a new one 8."""
     shard: str | None = None
     """i/n, e.g. 3/16: compute a sixteenth of the members, so that 16 commands fill one OUT (or several, see merge)."""
     keep_both: bool = False

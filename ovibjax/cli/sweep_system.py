@@ -64,7 +64,7 @@ class SweepSystem:
     shard: str | None = None
     """i/n, e.g. 3/16: compute a sixteenth of the members, so that 16 commands fill one OUT (or several, see merge)."""
     threads: int | None = None
-    """Threads of one program. Bits depend on it: by default those that OUT was begun with, in a new one 1."""
+    """Threads of one program. Bits depend on it: by default those that OUT was begun with, in a new one 8."""
     keep_both: bool = False
     """If OUT holds another sweep (other settings, data or code), use a store beside it instead of stopping."""
 

@@ -6,6 +6,9 @@ from pathlib import Path, PurePosixPath
 
 _ROOT = Path("/")
 
+MOST_PROGRAMS = 8
+"""Programs that run at a time at most, on a machine of any size; beyond, memory and its bandwidth are what limits."""
+
 
 def cores(root: Path = _ROOT) -> int:
     """Processor cores this process may keep busy: of its affinity, and of its control groups' share of time.

