@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ovibjax.sweep.arrange import coordinates_of
 from ovibjax.sweep.engine import run
 from ovibjax.sweep.grid import make_grid
 from ovibjax.sweep.layout import Variable, layout_of
@@ -89,7 +90,7 @@ def opening(members: int, blocks: int) -> None:
     config = {"settings": {}}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.zarr"
-        layout = layout_of(grid, variables, {})
+        layout = layout_of(grid, variables, coordinates_of({"prefix": [8, 16, 35, 128]}))
         for part in np.array_split(np.arange(members), blocks):
             rows = rows_of(grid, part, [bytes(16)] * len(part), {n: v[part] for n, v in values.items()}, part < 0)
             if part[0] == 0:
