@@ -1,5 +1,6 @@
 """The pages of results/: parts, studies and the paper's numbers are those of the figures that are there."""
 
+import csv
 import json
 import re
 import shutil
@@ -47,9 +48,12 @@ def test_every_point_of_the_paper_has_a_counterpart():
     assert any(error.ours.text() in claim["ours"] for claim in claims) and error.paper == 9.31
     assert pairs["scalable_compression", "O-VIB: payload at k = 35"].ours.mean == pytest.approx(160 / 1024)
     rule = pairs["multi_client", "MaxWeight: edge p95, most valuable tenth, high congestion"]
-    assert rule.paper == 142.4 and round(rule.ours.mean) == 116  # under the ties that the claims are judged under
+    tail = json.loads((RESULTS / "multi_client" / "claims.json").read_text())[0]["ours"]
+    assert rule.paper == 142.4 and rule.ours.text("ms", 1) in tail  # under the ties that the claims are judged under
     stated = pairs["real_scene", "UAV, O-VIB-8: mean"].ours
-    assert (stated.mean, stated.half) == (0.243, 0.022)
+    with (RESULTS / "real_scene" / "summary.csv").open() as file:
+        (row,) = [r for r in csv.DictReader(file) if (r["platform"], r["representation"]) == ("UAV", "O-VIB-8")]
+    assert stated.text(digits=3) == row["mean_m"]
 
 
 def test_columns_of_a_kind_become_rows():
