@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ovibjax.control.drift import Drift, Odometry, added_m
+from ovibjax.control.drift import Drift, Odometry, added_m2
 
 CORRECTIONS = ("replace", "always", "kalman")
 """What a correction does: the edge's position becomes the estimate, and its risk the local one, where that is the lower
@@ -90,9 +90,9 @@ def propagate(belief: Belief, odometry: Odometry, drift: Drift) -> Belief:
         The belief after it.
     """
     accumulated_m = belief.accumulated_m + odometry.advance_m
-    before_m, after_m = added_m(belief.accumulated_m, drift), added_m(accumulated_m, drift)
-    growth_m2 = jnp.maximum(after_m**2 - before_m**2, 0.0)  # a power need not be monotone to the last bit
-    wander_m, straight_m = jnp.sqrt(growth_m2), after_m - before_m
+    before_m2, after_m2 = added_m2(belief.accumulated_m, drift), added_m2(accumulated_m, drift)
+    growth_m2 = jnp.maximum(after_m2 - before_m2, 0.0)  # a product need not be monotone to the last bit
+    wander_m, straight_m = jnp.sqrt(growth_m2), jnp.sqrt(after_m2) - jnp.sqrt(before_m2)
 
     def moved(walk: jax.Array, toward: jax.Array) -> jax.Array:
         return jnp.where(drift.walks, wander_m * walk, straight_m * toward)
@@ -117,6 +117,11 @@ def error_m(belief: Belief) -> jax.Array:
     return jnp.sqrt(belief.error_x_m**2 + belief.error_y_m**2)
 
 
+def noise_m2(fix_risk_m: jax.Array) -> jax.Array:
+    """Variance per axis of a position from the edge; a risk of zero is a measurement within a millimetre."""
+    return 0.5 * fix_risk_m**2 + 1e-6
+
+
 def correct(belief: Belief, fix: Fix, correction: jax.Array, gate_sigma: jax.Array) -> Belief:
     """Use a position from the edge: in place of the estimate, or by a Kalman update.
 
@@ -133,7 +138,7 @@ def correct(belief: Belief, fix: Fix, correction: jax.Array, gate_sigma: jax.Arr
     Returns:
         The belief after it; drift starts anew, in the fix's direction.
     """
-    noise = 0.5 * fix.risk_m**2 + 1e-6  # a risk of zero is a measurement within a millimetre
+    noise = noise_m2(fix.risk_m)
     s_xx, s_xy, s_yy = belief.cov_xx_m2 + noise, belief.cov_xy_m2, belief.cov_yy_m2 + noise
     inverse = 1.0 / (s_xx * s_yy - s_xy**2)
     # Measurement minus estimate: the truth drops out.

@@ -13,6 +13,7 @@ from ovibjax.control import belief
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.belief import Belief, Fix
 from ovibjax.control.client_state import ControlParams, Slot, SlotInfo, State
+from ovibjax.control.controller import Controller
 from ovibjax.control.policies import POLICIES, Decision, Observation, chosen
 from ovibjax.control.voi import net_voi
 from ovibjax.link.latency import transmit_s
@@ -63,7 +64,6 @@ def observe(
     Returns:
         The client after drift and correction, and what it sees.
     """
-    control = params.control
     now = belief.propagate(state.belief, slot.odometry, params.env.drift)
     pending = belief.propagate(state.pending, slot.odometry, params.env.drift)
     state = state._replace(
@@ -72,25 +72,43 @@ def observe(
         flight=jnp.maximum(state.flight - 1, 0),
         since=state.since + 1,
     )
-    sizes = actions.payload_bytes
-    allowed = []
-    for a in range(len(actions)):
-        fits = state.used_j + control.energy_j[a] <= control.energy_budget_j
-        if budgeted:
-            fits = fits & (state.sent_bytes + jnp.float32(sizes[a]) <= control.budget_bytes)
-        allowed.append(fits & control.available[a])
     seen = Observation(
         risk_m=belief.local_risk_m(state.belief),
         predicted_m=slot.predicted_m,
         realised_m=jnp.sqrt(jnp.sum(slot.residual_m**2, axis=-1)),
         rate_bps=slot.rate_bps,
+        transmit_s=transmit_s(jnp.asarray(actions.payload_bytes, jnp.float32), slot.rate_bps),
         delay_s=slot.delay_s,
         since_s=state.since.astype(jnp.float32) * params.env.slot_s,
         waiting=state.flight > 0,
         scheduled=slot.scheduled,
-        allowed=tuple(allowed),
+        allowed=affordable(state.sent_bytes, state.used_j, params.control, actions, budgeted),
     )
     return state, seen
+
+
+def affordable(
+    sent_bytes: jax.Array, used_j: jax.Array, control: Controller, actions: ActionSet, budgeted: bool
+) -> tuple[jax.Array, ...]:
+    """Which actions are available and fit the budgets.
+
+    Args:
+        sent_bytes: [...] payload sent so far.
+        used_j: [...] energy used so far.
+        control: budgets and availability.
+        actions: the action set (static).
+        budgeted: whether the payload budget binds (static).
+
+    Returns:
+        One bool array per action.
+    """
+    allowed = []
+    for a, size in enumerate(actions.payload_bytes):
+        fits = used_j + control.energy_j[a] <= control.energy_budget_j
+        if budgeted:
+            fits = fits & (sent_bytes + jnp.float32(size) <= control.budget_bytes)
+        allowed.append(fits & control.available[a])
+    return tuple(allowed)
 
 
 def decide(seen: Observation, slot: Slot, policy: str, params: ControlParams, actions: ActionSet) -> Decision:

@@ -32,7 +32,7 @@ class Drift(NamedTuple):
     Attributes:
         rate_m_per_s: [C] fitted drift rate by context.
         scale_m: G, at which all models agree.
-        power: p.
+        power: p, one of `DRIFT_MODELS`.
         along_share: share of the covariance's growth along the heading; a half where a direction is drawn.
         walks: whether increments are independent.
     """
@@ -125,14 +125,17 @@ def draw_odometry(
     return odometry, jnp.stack([jnp.cos(angle[0]), jnp.sin(angle[0])])
 
 
-def added_m(accumulated_m: jax.Array, drift: Drift) -> jax.Array:
-    """D(s), the root mean square of what drift has added since a correction.
+def added_m2(accumulated_m: jax.Array, drift: Drift) -> jax.Array:
+    """D(s)^2, the mean square of what drift has added since a correction.
 
     Args:
         accumulated_m: [...] s, the drift rate added up since then.
-        drift: the model.
+        drift: the model; p is a half, one or one and a half.
 
     Returns:
-        [...] metres.
+        [...] m^2, as a product: a power whose exponent is data is slow.
     """
-    return drift.scale_m * (accumulated_m / drift.scale_m) ** drift.power
+    # G^(2 - 2p) s^(2p): G s, s^2 or s^3 / G.
+    second = jnp.where(drift.power > 0.75, accumulated_m, drift.scale_m)
+    third = jnp.where(drift.power > 1.25, accumulated_m * (1.0 / drift.scale_m), 1.0)
+    return accumulated_m * second * third

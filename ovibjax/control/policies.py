@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from ovibjax.control.actions import ActionSet
 from ovibjax.control.controller import Controller
-from ovibjax.control.voi import net_voi
+from ovibjax.control.voi import request_cost_m
 
 
 class Observation(NamedTuple):
@@ -24,6 +24,7 @@ class Observation(NamedTuple):
         predicted_m: [A] predicted residuals.
         realised_m: [A] realised residuals; for the oracle alone.
         rate_bps: uplink rate.
+        transmit_s: [A] time that a request takes to be sent.
         delay_s: [A] predicted queueing, service and return delay.
         since_s: time since the last request; days before the first.
         waiting: whether a correction is still under way.
@@ -35,6 +36,7 @@ class Observation(NamedTuple):
     predicted_m: jax.Array
     realised_m: jax.Array
     rate_bps: jax.Array
+    transmit_s: jax.Array
     delay_s: jax.Array
     since_s: jax.Array
     waiting: jax.Array
@@ -57,30 +59,35 @@ class Decision(NamedTuple):
 Policy = Callable[[Observation, Controller, ActionSet], Decision]
 
 
-def net_values(seen: Observation, control: Controller, actions: ActionSet) -> list[jax.Array]:
-    """Net VOI of each action by its predicted residual."""
+def worthwhile_m(seen: Observation, residual_m: jax.Array, control: Controller, actions: ActionSet) -> list[jax.Array]:
+    """Local risk above which a request with each action has a positive net VOI: its residual plus what it costs.
+
+    The net VOI of an action with a positive gross VOI is L less this number. As no request costs less than nothing, an
+    action without one never has a positive net VOI; so the action with the highest net VOI, where that is positive, is
+    the one with the lowest of these numbers, which do not depend on the client.
+
+    Args:
+        seen: what the client sees.
+        residual_m: [A] residuals, predicted or realised.
+        control: prices and energies.
+        actions: the action set (static).
+
+    Returns:
+        One array per action; infinite where nothing can be sent.
+    """
     return [
-        net_voi(
-            seen.risk_m,
-            seen.predicted_m[a],
-            jnp.float32(size),
-            seen.rate_bps,
-            seen.delay_s[a],
-            control.energy_j[a],
-            control.prices,
-        )
-        for a, size in enumerate(actions.payload_bytes)
+        residual_m[a] + request_cost_m(seen.transmit_s[a], seen.delay_s[a], control.energy_j[a], control.prices)
+        for a in range(len(actions))
     ]
 
 
-def highest(values: Sequence[jax.Array], allowed: Sequence[jax.Array]) -> tuple[jax.Array, jax.Array]:
-    """First action with the highest value among those allowed, and that value; minus infinity if there is none."""
-    best = jnp.where(allowed[0], values[0], -jnp.inf)
+def lowest(values: Sequence[jax.Array], allowed: Sequence[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    """First action with the lowest value among those allowed, and that value; infinity if there is none."""
+    best = jnp.where(allowed[0], values[0], jnp.inf)
     index = jnp.zeros(best.shape, jnp.int32)
     for a in range(1, len(values)):
-        value = jnp.where(allowed[a], values[a], -jnp.inf)
-        better = value > best
-        best, index = jnp.where(better, value, best), jnp.where(better, jnp.int32(a), index)
+        better = allowed[a] & (values[a] < best)
+        best, index = jnp.where(better, values[a], best), jnp.where(better, jnp.int32(a), index)
     return index, best
 
 
@@ -105,10 +112,11 @@ def as_written(control: Controller) -> Controller:
 
 def voi_gap(seen: Observation, control: Controller, actions: ActionSet) -> Decision:
     """A variant of ours: a net VOI above a threshold, and not sooner than a gap after the last request."""
-    action, value = highest(net_values(seen, control, actions), seen.allowed)
+    action, worthwhile = lowest(worthwhile_m(seen, seen.predicted_m, control, actions), seen.allowed)
     # Twice the slack of float32 time, so that a gap of n slots is reached after n slots.
     rested = seen.since_s >= control.min_gap_s - 1e-3
-    return Decision((value > jnp.maximum(control.threshold_m, 0.0)) & rested & ~seen.waiting, action)
+    worth = seen.risk_m > worthwhile + jnp.maximum(control.threshold_m, 0.0)
+    return Decision(worth & rested & ~seen.waiting, action)
 
 
 def scheduled_fs(seen: Observation, control: Controller, actions: ActionSet) -> Decision:
@@ -132,14 +140,9 @@ def uncertainty(seen: Observation, control: Controller, actions: ActionSet) -> D
 
 def oracle_action(seen: Observation, control: Controller, actions: ActionSet) -> Decision:
     """At VOI-Control's slots, the action with the lowest realised residual after the same penalties."""
-    knowing = seen._replace(predicted_m=seen.realised_m)
     # Penalties apply in full even where the residual exceeds the risk: no positive part.
-    values = [
-        value - jnp.maximum(seen.realised_m[a] - seen.risk_m, 0.0)
-        for a, value in enumerate(net_values(knowing, control, actions))
-    ]
-    action, value = highest(values, seen.allowed)
-    return Decision(seen.scheduled & (value > -jnp.inf), action)
+    action, value = lowest(worthwhile_m(seen, seen.realised_m, control, actions), seen.allowed)
+    return Decision(seen.scheduled & (value < jnp.inf), action)
 
 
 def _fixed(seen: Observation, due: jax.Array, mode: str, actions: ActionSet) -> Decision:

@@ -4,17 +4,17 @@
 controllers has room for.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ovibjax.control.actions import ACTIONS, ActionSet
-from ovibjax.control.client_state import ControlParams, Slot, by_action, start
-from ovibjax.control.client_step import step
+from ovibjax.control.client_state import ControlParams
 from ovibjax.control.environment import Draws, Route
-from ovibjax.control.planning import plan
-from ovibjax.control.route_replay import RouteResult, slots_of
+from ovibjax.control.planning import FOLLOW_VOI, plan
+from ovibjax.control.replay_sums import replay_sums
+from ovibjax.control.route_replay import RouteResult
 
 
 class Summary(NamedTuple):
@@ -52,23 +52,17 @@ def score(draws: Draws, route: Route, policy: str, params: ControlParams, action
     Args:
         draws: the realization.
         route: the route.
-        policy: a key of `POLICIES` that does not follow VOI-Control (static).
+        policy: a key of `POLICIES` (static). Those in `FOLLOW_VOI` replay VOI-Control first.
         params: environment and controller.
         actions: the action set (static).
 
     Returns:
         The summary, with `p95_m` NaN.
     """
-    n = draws.rate_bps.shape[0]
-    planned = plan(draws, policy, params, jnp.zeros(n, bool))
-    params = by_action(params)
-    zero = jnp.zeros_like(draws.rate_bps[0])
-
-    def one(carry: Any, slot: Slot) -> tuple[Any, None]:
-        state, error, risk, requests = carry
-        state, info = step(state, slot, policy, params, actions)
-        return (state, error + info.error_m, risk + info.risk_m, requests + info.sent.astype(jnp.int32)), None
-
-    begin = (start(draws), zero, zero, jnp.int32(0))
-    (state, error, risk, requests), _ = jax.lax.scan(one, begin, slots_of(route, draws, planned))
-    return Summary(error / n, jnp.full_like(error, jnp.nan), risk / n, requests, state.sent_bytes / 1024.0)
+    slots = draws.rate_bps.shape[0]
+    sent = jnp.zeros(slots, bool)
+    if policy in FOLLOW_VOI:
+        sent = replay_sums(draws, route, "voi", sent, params, actions).action >= 0
+    found = replay_sums(draws, route, policy, plan(draws, policy, params, sent), params, actions)
+    tail = jnp.full_like(found.error_m, jnp.nan)
+    return Summary(found.error_m / slots, tail, found.risk_m / slots, found.requests, found.sent_bytes / 1024.0)

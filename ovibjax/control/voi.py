@@ -35,6 +35,24 @@ def gross_voi(local_risk: jax.Array, residual: jax.Array) -> jax.Array:
     return jnp.maximum(local_risk - residual, 0.0)
 
 
+def request_cost_m(link_s: jax.Array, delay_s: jax.Array, energy_j: jax.Array, prices: Prices) -> jax.Array:
+    """Priced transmission time, energy and delay of a request: what eq. "net_voi" subtracts.
+
+    Args:
+        link_s: [...] transmission time, see `link.latency.transmit_s`.
+        delay_s: [...] predicted queueing, service and return delay, without uplink transmission.
+        energy_j: [...] estimated endpoint energy E(a).
+        prices: lambda_b, lambda_e, lambda_d.
+
+    Returns:
+        [...] metres; infinite where transmission never ends, whatever the price.
+    """
+    down = jnp.isinf(link_s)
+    cost = prices.bandwidth_m_per_s * jnp.where(down, 0.0, link_s)
+    cost = cost + prices.energy_m_per_j * energy_j + prices.delay_m_per_s * delay_s
+    return jnp.where(down, jnp.inf, cost)
+
+
 def net_voi(
     local_risk: jax.Array,
     residual: jax.Array,
@@ -58,8 +76,5 @@ def net_voi(
     Returns:
         [...] metres; minus infinity where the rate is zero, whatever the price.
     """
-    link = transmit_s(payload_bytes, rate_bps)
-    down = jnp.isinf(link)
-    cost = prices.bandwidth_m_per_s * jnp.where(down, 0.0, link)
-    cost = cost + prices.energy_m_per_j * energy_j + prices.delay_m_per_s * delay_s
-    return jnp.where(down, -jnp.inf, gross_voi(local_risk, residual) - cost)
+    cost = request_cost_m(transmit_s(payload_bytes, rate_bps), delay_s, energy_j, prices)
+    return gross_voi(local_risk, residual) - cost

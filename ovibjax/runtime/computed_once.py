@@ -5,7 +5,7 @@ simulator step that ends in a dozen state arrays then does its work a dozen time
 "compute this once"; a branch on a number that is known only at run time does, as fusion stops there.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -35,3 +35,22 @@ def computed_once(running: jax.Array, function: Callable[..., Result], *operands
         return jax.lax.cond(running, function, lambda *_: blank, *operands)
 
     return jax.lax.platform_dependent(*operands, cpu=cut, default=function)
+
+
+def computed_case(case: jax.Array, functions: Sequence[Callable[..., Result]], *operands: Any) -> Result:
+    """`functions[case](*operands)`, computed once on a CPU however many results depend on it.
+
+    Args:
+        case: int32, that the compiler cannot know and that no `vmap` maps.
+        functions: traceable, of arrays, all with the same results where their case is given; the last one, which an
+            accelerator takes, in every case.
+        operands: their arguments.
+
+    Returns:
+        What the function returns.
+    """
+
+    def cut(*operands: Any) -> Result:
+        return jax.lax.switch(case, functions, *operands)
+
+    return jax.lax.platform_dependent(*operands, cpu=cut, default=functions[-1])

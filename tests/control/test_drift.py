@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ovibjax.control import belief
-from ovibjax.control.drift import DRIFT_MODELS, added_m, draw_odometry, make_drift
+from ovibjax.control.drift import DRIFT_MODELS, added_m2, draw_odometry, make_drift
 from ovibjax.errors import InputError
 from tests.oracles import control as oracle
 
@@ -21,10 +21,13 @@ def test_an_unknown_model_is_refused():
 @pytest.mark.parametrize("model", DRIFT_MODELS)
 def test_what_drift_adds(model):
     drift = make_drift(RATES, SCALE_M, model)
-    assert float(added_m(jnp.float32(SCALE_M), drift)) == pytest.approx(SCALE_M, rel=1e-6)  # where all models agree
-    assert float(added_m(jnp.float32(0.0), drift)) == 0.0
-    growth = float(added_m(jnp.float32(4 * SCALE_M), drift)) / SCALE_M
+    assert float(added_m2(jnp.float32(SCALE_M), drift)) == pytest.approx(SCALE_M**2, rel=1e-6)  # where models agree
+    assert float(added_m2(jnp.float32(0.0), drift)) == 0.0
+    growth = np.sqrt(float(added_m2(jnp.float32(4 * SCALE_M), drift))) / SCALE_M
     assert growth == pytest.approx({"rate": 4.0, "integrated": 8.0, "random_walk": 2.0}[model], rel=1e-6)
+    s_m = np.float32([0.01, 0.7, 3.0, 90.0])
+    want = (SCALE_M * (s_m / SCALE_M) ** DRIFT_MODELS[model]) ** 2
+    np.testing.assert_allclose(added_m2(jnp.asarray(s_m), drift), want, rtol=1e-5)
 
 
 @pytest.mark.parametrize("model", DRIFT_MODELS)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from ovibjax.control import policies
 from ovibjax.control.actions import ACTIONS
 from ovibjax.control.policies import POLICIES, VARIANTS, Observation
+from ovibjax.link.latency import transmit_s
 from tests.control.cases import controller
 from tests.oracles import control as oracle
 
@@ -25,6 +26,7 @@ def seen(
         predicted_m=per_action(predicted),
         realised_m=per_action(realised),
         rate_bps=jnp.float32(rate),
+        transmit_s=transmit_s(jnp.asarray(ACTIONS.payload_bytes), jnp.float32(rate)),
         delay_s=per_action(0.05),
         since_s=jnp.float32(since),
         waiting=jnp.asarray(waiting),
@@ -102,12 +104,35 @@ def test_the_bound_takes_the_lowest_realised_residual_after_penalties():
 
 
 @settings(max_examples=100, deadline=None)
-@given(st.lists(st.tuples(st.sampled_from([-np.inf, -1.0, 0.0, 2.0]), st.booleans()), min_size=1, max_size=6))
-def test_highest(items):
+@given(st.lists(st.tuples(st.sampled_from([np.inf, 1.0, 0.0, -2.0]), st.booleans()), min_size=1, max_size=6))
+def test_lowest(items):
     values, allowed = zip(*items, strict=True)
-    index, value = policies.highest([jnp.float32(v) for v in values], [jnp.asarray(a) for a in allowed])
-    want = oracle.best(values, allowed)
-    assert float(value) == (-np.inf if want is None else values[want])
+    index, value = policies.lowest([jnp.float32(v) for v in values], [jnp.asarray(a) for a in allowed])
+    want = oracle.best([-v for v in values], allowed)
+    assert float(value) == (np.inf if want is None else values[want])
     if want is not None:
         assert int(index) == want
         assert float(policies.chosen([jnp.float32(v) for v in values], index)) == values[want]
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.floats(0.0, 12.0, width=32),
+    st.lists(st.floats(0.0, 12.0, width=32), min_size=8, max_size=8),
+    st.tuples(*[st.floats(0.0, 30.0, width=32)] * 3),
+    st.sampled_from([0.0, 800.0, 65_536.0]),
+)
+def test_the_lowest_worthwhile_risk_is_the_highest_net_value(risk, predicted, prices, rate):
+    control = controller(energy_j=np.linspace(0.0, 1.0, 8))
+    control = control._replace(prices=type(control.prices)(*map(jnp.float32, prices)))
+    look = seen(risk=risk, predicted=np.float32(predicted), rate=rate)
+    index, worthwhile = policies.lowest(
+        policies.worthwhile_m(look, look.predicted_m, control, ACTIONS), [jnp.asarray(True)] * 8
+    )
+    numbers = zip(predicted, ACTIONS.payload_bytes, np.linspace(0.0, 1.0, 8), strict=True)
+    values = [oracle.net_voi(risk, g, float(b), rate, 0.05, e, prices) for g, b, e in numbers]
+    slack = 1e-5 * (1.0 + abs(float(worthwhile))) if np.isfinite(worthwhile) else 0.0
+    if max(values) > slack:
+        assert values[int(index)] >= max(values) - slack and risk > worthwhile - slack
+    elif max(values) < -slack:
+        assert not risk > worthwhile
