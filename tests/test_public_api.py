@@ -26,8 +26,9 @@ PUBLIC = {
         SweepMerge SweepRun SweepSystem SweepTrain SweepUpgrade Town check_options""",
     "ovibjax.control": """ACTIONS ControlParams Environment POLICIES Prices Route Scene embedded_drives fit_predictor
         make_controller make_environment make_scene net_voi replay summarize""",
-    "ovibjax.edge": """Index TrainAndJudge Trained brute_force build_index calibrate coarse_to_fine errors judge
-        judge_prefixes leave_one_out mix retrieve select_eta spatial_folds summarize""",
+    "ovibjax.edge": """ClusterIndex Index TrainAndJudge Trained brute_force build_index calibrate cluster_index
+        coarse_to_fine errors judge judge_prefixes leave_one_out mix nearest retrieve select_eta spatial_folds
+        summarize""",
     "ovibjax.encoder": """Architecture Hypers MemberData TrainConfig TrainData active_dims ard_kl decode encode fit
         fixed_rate gaussian_kl init locate make_hypers member_data orthogonality_penalty paper_recipe prefix_mask""",
     "ovibjax.features": """CONTEXTS FeatureSet Split backbones describe extract fit_basis images load make_feature_set

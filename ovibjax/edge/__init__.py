@@ -8,6 +8,8 @@
 >>> index = edge.build_index(database, positions=[[0, 0], [1, 0], [9, 0]], scene=[0, 0, 1], tile_m=5.0)
 >>> edge.retrieve(database[[2, 0]], index, scenes=1).tolist()
 [2, 0]
+>>> edge.nearest(database[[2, 0]], edge.cluster_index(database), k=2).row[:, 0].tolist()
+[2, 0]
 """
 
 import lazy_loader

@@ -1,3 +1,6 @@
+from .cluster_search import cluster_index as cluster_index
+from .cluster_search import nearest as nearest
+from .clusters import ClusterIndex as ClusterIndex
 from .index import Index as Index
 from .index import build_index as build_index
 from .judging import Trained as Trained
@@ -16,18 +19,21 @@ from .view_fusion import calibrate as calibrate
 from .view_fusion import spatial_folds as spatial_folds
 
 __all__ = [
+    "ClusterIndex",
     "Index",
     "TrainAndJudge",
     "Trained",
     "brute_force",
     "build_index",
     "calibrate",
+    "cluster_index",
     "coarse_to_fine",
     "errors",
     "judge",
     "judge_prefixes",
     "leave_one_out",
     "mix",
+    "nearest",
     "retrieve",
     "select_eta",
     "spatial_folds",

@@ -135,7 +135,7 @@ def index_of_tiles(db: ArrayLike, tile: NDArray[np.integer], scene: NDArray[np.i
     tiles_of = np.bincount(owner, minlength=n_scenes)
     padded = _round_up(n_tiles + TILE_STEP)
     start = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=padded))])
-    basis = _leading_basis(unit, min(SKETCH, d))
+    basis = leading_basis(unit, min(SKETCH, d))
     descriptor = np.concatenate([unit[order], np.zeros((ROW_STEP, d), np.float32)])
     return Index(
         descriptor=jnp.asarray(descriptor),
@@ -153,7 +153,7 @@ def index_of_tiles(db: ArrayLike, tile: NDArray[np.integer], scene: NDArray[np.i
     )
 
 
-def _leading_basis(unit: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+def leading_basis(unit: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     """[d, size] near the leading singular directions; any orthonormal one gives the same answers, this one sooner."""
     rows = unit[:: -(-len(unit) // _BASIS_ROWS)].astype(np.float64)
     basis = np.random.default_rng(0).normal(size=(unit.shape[1], size))

@@ -11,6 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ovibjax.edge.cluster_search import nearest
+from ovibjax.edge.clusters import ClusterIndex
+from ovibjax.edge.faiss_lists import FaissLists
 from ovibjax.edge.index import Index, build_index, normalize
 from ovibjax.edge.tile_search import Found, search
 
@@ -37,13 +40,16 @@ _BLOCK_PAIRS, _OWN_BLOCK = 1 << 27, 512
 
 
 def retrieve(
-    query: jax.Array, database: jax.Array | np.ndarray | Index, scenes: int = SCENES, tiles: int = TILES
+    query: jax.Array,
+    database: jax.Array | np.ndarray | Index | ClusterIndex | FaissLists,
+    scenes: int = SCENES,
+    tiles: int = TILES,
 ) -> jax.Array:
-    """Most similar database row of each query: exhaustive in an array, coarse-to-fine in an index.
+    """Most similar database row of each query: exhaustive in an array, coarse-to-fine in tiles, `nearest` in clusters.
 
     Args:
         query: [Q, d] descriptors; their scale does not matter.
-        database: [N, d] reference descriptors, or what `build_index` makes of them.
+        database: [N, d] reference descriptors, or what `build_index` or `cluster_index` makes of them.
         scenes: scene prototypes kept per query of an index.
         tiles: tile prototypes kept per query of an index, over all its scenes.
 
@@ -55,6 +61,8 @@ def retrieve(
     """
     if isinstance(database, Index):
         return coarse_to_fine(query, database, scenes, tiles)
+    if isinstance(database, ClusterIndex | FaissLists):
+        return jnp.asarray(nearest(query, database).row[:, 0])
     return brute_force(jnp.asarray(query), jnp.asarray(database))
 
 

@@ -103,3 +103,18 @@ def fold_error(weights, features, positions, folds):
         fused = [fused_similarity(weights, features[i], features[j]) for j in others]
         total += math.dist(positions[i], positions[others[int(np.argmax(fused))]])
     return total / len(features)
+
+
+def nearest(query, db, block, prototype, k, probes):
+    """Blocks by the inner product with their prototype, then rows of these; lower row first among equals.
+
+    `block` numbers the rows' blocks from 0. Returns per query a list of at most k (row, similarity).
+    """
+    similarity, score = cosines(query, db), unit(query) @ np.asarray(prototype, np.float64).T
+    found = []
+    for q in range(len(score)):
+        kept = sorted(range(len(prototype)), key=lambda b: (-score[q][b], b))[:probes]
+        rows = [i for i in range(len(db)) if block[i] in kept]
+        rows.sort(key=lambda i: (-round(similarity[q][i], 12), i))
+        found.append([(i, similarity[q][i]) for i in rows[:k]])
+    return found
