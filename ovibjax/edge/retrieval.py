@@ -118,6 +118,25 @@ class Match(NamedTuple):
     distinctness: jax.Array
 
 
+def best_of(similarity: jax.Array, places_m: jax.Array, elsewhere_m: float) -> Match:
+    """The match of one query.
+
+    Args:
+        similarity: [N] cosine similarities to the references; minus infinity where one does not count.
+        places_m: [N, 2] horizontal positions of the references, m.
+        elsewhere_m: references further than this from the best one are in another place.
+
+    Returns:
+        Scalars.
+    """
+    row = jnp.argmax(similarity).astype(jnp.int32)
+    away_m = jnp.linalg.norm(places_m - places_m[row][None], axis=1)
+    rival = jnp.maximum(jnp.max(jnp.where(away_m > elsewhere_m, similarity, -jnp.inf)), -1.0)
+    # Both distances vanish where a reference elsewhere is equal to the query as well: not distinct at all.
+    near, far = (jnp.maximum(1.0 - value, 0.0) for value in (similarity[row], rival))
+    return Match(row, jnp.where(far > 0, 1.0 - near / jnp.where(far > 0, far, 1.0), 0.0))
+
+
 def leave_one_out(
     query: jax.Array, reference: jax.Array, own: jax.Array, places_m: jax.Array, elsewhere_m: float
 ) -> Match:
@@ -139,12 +158,6 @@ def leave_one_out(
 
     def one(item: tuple[jax.Array, jax.Array]) -> Match:
         descriptor, self_row = item
-        similarity = jnp.where(rows == self_row, -jnp.inf, unit @ descriptor)
-        row = jnp.argmax(similarity).astype(jnp.int32)
-        away_m = jnp.linalg.norm(places_m - places_m[row][None], axis=1)
-        rival = jnp.maximum(jnp.max(jnp.where(away_m > elsewhere_m, similarity, -jnp.inf)), -1.0)
-        # Both distances vanish where a reference elsewhere is equal to the query as well: not distinct at all.
-        near, far = (jnp.maximum(1.0 - value, 0.0) for value in (similarity[row], rival))
-        return Match(row, jnp.where(far > 0, 1.0 - near / jnp.where(far > 0, far, 1.0), 0.0))
+        return best_of(jnp.where(rows == self_row, -jnp.inf, unit @ descriptor), places_m, elsewhere_m)
 
     return jax.lax.map(one, (asked, own), batch_size=_OWN_BLOCK)

@@ -1,6 +1,7 @@
 """The file that an edge and its robots are made from: one `.npz` of plain arrays, with its version; nothing is pickled.
 
-It holds the network, the edge's references as codes, and for robots in a simulated world the frames along their routes.
+It holds the network, the edge's references uncompressed, and for robots in a simulated world the frames along their
+routes.
 """
 
 import json
@@ -22,7 +23,7 @@ from ovibjax.link.codes.tables import CODES, CodeTable
 from ovibjax.live.messages import FINGERPRINT_BYTES
 from ovibjax.views import MODES
 
-FORMAT = "ovibjax-edge 1"
+FORMAT = "ovibjax-edge 2"
 """What the array `format` of a file says."""
 
 _PARAMS = "params."
@@ -40,11 +41,11 @@ class EdgeFile:
         actions: modes and prefixes that the edge serves.
         contexts: names of the route contexts.
         params: parameters of the network.
-        reference_code: [modes, R, K] codes of the references, of each mode's views.
+        reference_x: [R, M, r] features of the references in the network's basis.
         reference_m: [R, 3] where they were taken, from the origin.
         origin_m: [3] float64 origin of all positions.
-        similarity: [A, B - 1] ascending bounds between classes of similarity.
-        residual_m: [A, B] median residual on training frames of each class: what the edge expects of an answer.
+        edges: [A, L - 1] ascending bounds between levels of distinctness, see `control.calibration`.
+        risk_m: [A, L] calibrated residual of each level: what comes with an answer.
         predicted_m: [C, A] g_psi, what robots expect.
         context_share: [C] share of training frames in each context.
         route_x: [F, M, r] features of the robots' frames in the network's basis, route after route.
@@ -53,6 +54,7 @@ class EdgeFile:
         route_context: [F] int32 contexts.
         route_number: [F] int32 ascending, which route a frame belongs to.
         route_residual_m: [F, A, 2] how far off the edge's answer is, x and y.
+        route_risk_m: [F, A] the calibrated residual that comes with it.
         tables: what prefixes may be coded with, by the name of the code; none in files of earlier versions.
     """
 
@@ -60,11 +62,11 @@ class EdgeFile:
     actions: ActionSet
     contexts: tuple[str, ...]
     params: Params
-    reference_code: np.ndarray
+    reference_x: np.ndarray
     reference_m: np.ndarray
     origin_m: np.ndarray
-    similarity: np.ndarray
-    residual_m: np.ndarray
+    edges: np.ndarray
+    risk_m: np.ndarray
     predicted_m: np.ndarray
     context_share: np.ndarray
     route_x: np.ndarray
@@ -73,6 +75,7 @@ class EdgeFile:
     route_context: np.ndarray
     route_number: np.ndarray
     route_residual_m: np.ndarray
+    route_risk_m: np.ndarray
     tables: Mapping[str, CodeTable] = field(default_factory=dict)
 
     @property
@@ -86,7 +89,7 @@ class EdgeFile:
         text = sha256(_about(self).encode())
         for name, leaf in sorted(_flat(self.params).items()):
             text.update(name.encode() + np.ascontiguousarray(leaf, "<f4").tobytes())
-        for name in ("reference_code", "reference_m", "origin_m"):
+        for name in ("reference_x", "reference_m", "origin_m"):
             text.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         for name, part in _tables_flat(self.tables).items():
             text.update(name.encode() + np.ascontiguousarray(part).tobytes())
@@ -212,13 +215,13 @@ def _understood(about: Any) -> tuple[Architecture, ActionSet, tuple[str, ...]]:
 def _check_shapes(path: StrPath, arrays: dict[str, np.ndarray], arch: Architecture, actions: ActionSet, c: int) -> None:
     """Refuse arrays that do not fit one another, or hold what no index or number may be."""
     count, shape = len(actions), {name: arrays[name].shape for name in _ARRAYS}
-    refs, frames, classes = shape["reference_m"][:1], shape["route_m"][:1], shape["residual_m"][-1:] or (0,)
+    refs, frames, levels = shape["reference_m"][:1], shape["route_m"][:1], shape["risk_m"][-1:] or (0,)
     expected = {
-        "reference_code": (len(actions.modes), *refs, arch.latent),
+        "reference_x": (*refs, arch.n_views, arch.view_dim),
         "reference_m": (*refs, 3),
         "origin_m": (3,),
-        "similarity": (count, classes[0] - 1),
-        "residual_m": (count, *classes),
+        "edges": (count, levels[0] - 1),
+        "risk_m": (count, *levels),
         "predicted_m": (c, count),
         "context_share": (c,),
         "route_x": (*frames, arch.n_views, arch.view_dim),
@@ -227,6 +230,7 @@ def _check_shapes(path: StrPath, arrays: dict[str, np.ndarray], arch: Architectu
         "route_context": frames,
         "route_number": frames,
         "route_residual_m": (*frames, count, 2),
+        "route_risk_m": (*frames, count),
     }
     for name in _ARRAYS:
         _check(path, name, arrays[name], expected[name])

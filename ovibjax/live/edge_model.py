@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.edge.retrieval import normalize
+from ovibjax.control.drives import ELSEWHERE_M
+from ovibjax.edge.retrieval import best_of, normalize
 from ovibjax.encoder.model import Architecture, Params, decode
 from ovibjax.live.edge_file import EdgeFile
 from ovibjax.views import mode_mask
@@ -21,7 +22,8 @@ class EdgeModel:
     Attributes:
         file: where it comes from.
         masks: [A] views of each action.
-        database: [A] unit-norm descriptors [R, M r] of the references at each action.
+        database: [modes] unit-norm descriptors [R, M r] of the references in the views of each mode, uncompressed.
+        places_m: [R, 2] where they were taken.
     """
 
     def __init__(self, file: EdgeFile) -> None:
@@ -33,11 +35,10 @@ class EdgeModel:
         actions, arch = file.actions, file.arch
         self._number = {(mode, k): actions.index(mode, k) for mode in actions.modes for k in actions.prefixes}
         self.masks = [mode_mask(mode, arch.n_views) for mode in actions.modes for _ in actions.prefixes]
-        codes = jnp.asarray(file.reference_code)
-        self.database = [
-            normalize(descriptors(self._params, codes[a // len(actions.prefixes)], k, mask, arch))
-            for a, (k, mask) in enumerate(zip(actions.prefix, self.masks, strict=True))
-        ]
+        x = jnp.asarray(file.reference_x.reshape(len(file.reference_x), -1))
+        shown = (jnp.repeat(mode_mask(mode, arch.n_views), arch.view_dim) for mode in actions.modes)
+        self.database = [normalize(x * views[None]) for views in shown]
+        self.places_m = jnp.asarray(file.reference_m[:, :2])
 
     def action_of(self, mode: str, k: int) -> int | None:
         """Number of the action with this mode and prefix length; None where the edge does not serve it."""
@@ -51,19 +52,21 @@ class EdgeModel:
         return jax.block_until_ready(descriptors(self._params, code, k, mask, self.file.arch))
 
     def retrieved(self, action: int, descriptor: jax.Array) -> tuple[int, float]:
-        """Most similar reference of a descriptor [1, M r], and its similarity."""
-        row, similarity = np.asarray(nearest(descriptor, self.database[action]))[:, 0].tolist()
-        return int(row), similarity
+        """Most similar reference of a descriptor [1, M r], and how distinct it is, see `edge.retrieval.Match`."""
+        database = self.database[action // len(self.file.actions.prefixes)]
+        row, distinctness = np.asarray(nearest(descriptor, database, self.places_m)).tolist()
+        return int(row), distinctness
 
     def position_m(self, row: int) -> tuple[float, float, float]:
         """Where a reference was taken."""
         x, y, z = self.file.origin_m + self.file.reference_m[row]
         return float(x), float(y), float(z)
 
-    def residual_m(self, action: int, similarity: float) -> float:
-        """How far off an answer of such a similarity is, by training frames; most where it is no number."""
-        at = np.searchsorted(self.file.similarity[action], similarity) if np.isfinite(similarity) else 0
-        return float(self.file.residual_m[action, at])
+    def residual_m(self, action: int, distinctness: float) -> float:
+        """Calibrated residual of an answer as distinct as this one, see `control.calibration`; most for no number."""
+        known = np.isfinite(distinctness)
+        at = np.searchsorted(self.file.edges[action], np.float32(distinctness), side="right") if known else 0
+        return float(self.file.risk_m[action, at])
 
     def warm_up(self) -> None:
         """Compile everything that a request needs."""
@@ -90,17 +93,17 @@ def descriptors(params: Params, codes: jax.Array, k: jax.Array, view_mask: jax.A
 
 
 @jax.jit
-def nearest(descriptor: jax.Array, database: jax.Array) -> jax.Array:
+def nearest(descriptor: jax.Array, database: jax.Array, places_m: jax.Array) -> jax.Array:
     """Most similar row of a database of unit norm.
 
     Args:
-        descriptor: [B, M r].
+        descriptor: [1, M r].
         database: [R, M r], R below 2^24.
+        places_m: [R, 2] where its rows were taken.
 
     Returns:
-        [2, B] float32 rows, exact, and similarities: one array, as fetching two takes twice as long. Equal
-        similarities go to the lower row.
+        [2] float32 row, exact, and distinctness: one array, as fetching two takes twice as long. Equal similarities go
+        to the lower row.
     """
-    similarity = normalize(descriptor) @ database.T
-    row = jnp.argmax(similarity, axis=1).astype(jnp.float32)
-    return jnp.stack([row, jnp.max(similarity, axis=1)])
+    match = best_of(database @ normalize(descriptor)[0], places_m, ELSEWHERE_M)
+    return jnp.stack([match.row.astype(jnp.float32), match.distinctness])

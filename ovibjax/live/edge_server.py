@@ -262,8 +262,8 @@ class EdgeServer:
         began_s = time.perf_counter()
         descriptor = self._model.decoded(action, prefix)
         decoded_s = time.perf_counter()
-        row, similarity = self._model.retrieved(action, descriptor)
-        found = self._model.position_m(row), self._model.residual_m(action, similarity)
+        row, distinctness = self._model.retrieved(action, descriptor)
+        found = self._model.position_m(row), self._model.residual_m(action, distinctness)
         ended_s = time.perf_counter()
         return _Served(*found, 1000.0 * (decoded_s - began_s), 1000.0 * (ended_s - decoded_s))
 

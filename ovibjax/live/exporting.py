@@ -11,23 +11,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ovibjax.control.actions import ACTIONS, ActionSet, actions_for
+from ovibjax.control.actions import ACTIONS, actions_for
+from ovibjax.control.calibration import calibrated_risk_m, fit_calibration
 from ovibjax.control.drives import JoinedDrives, join_drives
 from ovibjax.control.predictor import fit_predictor
-from ovibjax.control.residuals import answers, encode_views
-from ovibjax.edge.retrieval import normalize
-from ovibjax.encoder.checkpoint import CHECKPOINT, Checkpoint, CheckpointConfig, train_checkpoint
+from ovibjax.control.residuals import answers
+from ovibjax.encoder.checkpoint import CHECKPOINT, CheckpointConfig, train_checkpoint
 from ovibjax.errors import InputError
 from ovibjax.features.basis import project
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.places import origin_of
 from ovibjax.link.codes.tables import CODES, fit_table
 from ovibjax.live.edge_file import EdgeFile
-from ovibjax.live.edge_model import descriptors, nearest
-from ovibjax.views import mode_mask
-
-CLASSES = 8
-"""Classes of similarity by which an edge expects a residual."""
+from ovibjax.live.mode_codes import mode_codes
 
 
 def make_edge(
@@ -57,27 +53,25 @@ def make_edge(
     on_stage("training the encoder")
     trained = train_checkpoint(jax.random.key(0), frames.first_frames, checkpoint)
     on_stage("retrieving residuals")
-    kept = frames.references
-    # The file holds references as codes, so that they have passed through the code of the request.
-    realised = answers(trained, frames.features, frames.positions_m, kept, actions, recode=True).residual_m
+    kept, known, context = frames.references, frames.known, frames.context
+    realised, distinctness = answers(trained, frames.features, frames.positions_m, kept, actions)
+    length_m, distinct = np.linalg.norm(realised, axis=-1), jnp.asarray(distinctness)
+    calibration = fit_calibration(distinct, jnp.asarray(length_m**2), jnp.asarray(known))
     x = project(trained.basis, frames.features)
-    codes = codes_of(trained, x, actions)
-    known, context = frames.known, frames.context
-    expected = _expectation(trained, codes, kept, known, realised, actions)
     rows = _route_rows(frames, kept)
-    # Robots send codes of every mode; they are fitted together.
-    seen = codes[:, known].reshape(-1, codes.shape[-1])
+    # Robots send codes of every mode; tables are fitted to them together.
+    seen = mode_codes(trained.params, trained.arch, x[known], actions).reshape(-1, trained.arch.latent)
     return EdgeFile(
         arch=trained.arch,
         actions=actions,
         contexts=frames.contexts,
         params=jax.device_get(trained.params),
-        reference_code=codes[:, kept],
+        reference_x=x[kept],
         reference_m=frames.positions_m[kept],
         origin_m=origin_of(*(s.positions_m for s in sets)),
-        similarity=expected[0],
-        residual_m=expected[1],
-        predicted_m=fit_predictor(np.linalg.norm(realised[known], axis=-1), context[known], len(frames.contexts)),
+        edges=np.asarray(calibration.edges),
+        risk_m=np.sqrt(np.asarray(calibration.mean_square_m2)),
+        predicted_m=fit_predictor(length_m[known], context[known], len(frames.contexts)),
         context_share=frames.context_share.astype(np.float32),
         route_x=x[rows],
         route_m=frames.positions_m[rows],
@@ -85,16 +79,9 @@ def make_edge(
         route_context=context[rows].astype(np.int32),
         route_number=(frames.drive[rows] - training).astype(np.int32),
         route_residual_m=realised[rows],
+        route_risk_m=np.asarray(calibrated_risk_m(calibration, distinct))[rows],
         tables={code: table for code in CODES if (table := fit_table(code, seen)) is not None},
     )
-
-
-def codes_of(trained: Checkpoint, x: np.ndarray, actions: ActionSet) -> np.ndarray:
-    """[modes, N, K] codes of frames x [N, M, r], of the views of each mode."""
-    flat = jnp.asarray(x.reshape(len(x), -1))
-    encode = jax.jit(encode_views, static_argnames="arch")
-    masks = [mode_mask(mode, trained.arch.n_views) for mode in actions.modes]
-    return np.stack([np.asarray(encode(trained.params, flat, mask, trained.arch)) for mask in masks])
 
 
 def _route_rows(frames: JoinedDrives, kept: np.ndarray) -> np.ndarray:
@@ -104,31 +91,3 @@ def _route_rows(frames: JoinedDrives, kept: np.ndarray) -> np.ndarray:
     if not np.isin(drives, frames.drive[free]).all():
         raise InputError("a held-out drive has no frame beside those that the edge keeps; give a longer one")
     return free
-
-
-def _expectation(
-    trained: Checkpoint,
-    codes: np.ndarray,
-    kept: np.ndarray,
-    known: np.ndarray,
-    realised: np.ndarray,
-    actions: ActionSet,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds [A, B - 1] between classes of similarity, and the median residual [A, B] of training frames in each."""
-    asked = np.setdiff1d(np.flatnonzero(known), kept)
-    bounds, medians = [], []
-    for a, k in enumerate(actions.prefix):
-        of_mode = codes[a // len(actions.prefixes)]
-        mask = mode_mask(actions.modes[a // len(actions.prefixes)], trained.arch.n_views)
-        database = normalize(descriptors(trained.params, of_mode[kept], k, mask, trained.arch))
-        seen = nearest(descriptors(trained.params, of_mode[asked], k, mask, trained.arch), database)
-        similarity = np.asarray(seen)[1]
-        distance_m = np.linalg.norm(realised[asked, a], axis=-1)
-        between = np.quantile(similarity, np.arange(1, CLASSES) / CLASSES).astype(np.float32)
-        of_class = np.searchsorted(between, similarity)
-        bounds.append(between)
-        # Equal similarities may leave a class empty.
-        medians.append(
-            [np.median(distance_m[of_class == c] if (of_class == c).any() else distance_m) for c in range(CLASSES)]
-        )
-    return np.stack(bounds), np.array(medians, np.float32)

@@ -100,8 +100,7 @@ class Robot:
             jnp.asarray(file.route_yaw_rad[self.rows]),
             jnp.asarray(file.predicted_m[context]),
             jnp.asarray(file.route_residual_m[self.rows]),
-            # What an answer is trusted to be is what was expected of the action.
-            jnp.asarray(file.predicted_m[context]),
+            jnp.asarray(file.route_risk_m[self.rows]),
         )
         self.draws = _draw(mine, self.route, world.params, file.actions)
         self._params = by_action(world.params)
@@ -157,7 +156,7 @@ class Robot:
         for action in range(len(self.file.actions)):
             self.encoded(0, action)
         self._asked = 0, self._state.belief
-        self.corrected(0, 0, (0.0, 0.0), 1)
+        self.corrected(0, (0.0, 0.0), 1.0, 1)
 
     def encoded(self, slot: int, action: int) -> np.ndarray:
         """[k] what is sent of the code of this slot's frame."""
@@ -170,18 +169,18 @@ class Robot:
         truth = self._world.file.origin_m + self._world.file.route_m[self.rows[slot]]
         return float(position_m[0] - truth[0]), float(position_m[1] - truth[1])
 
-    def corrected(self, slot: int, action: int, residual_m: tuple[float, float], now: int) -> None:
+    def corrected(self, slot: int, residual_m: tuple[float, float], risk_m: float, now: int) -> None:
         """Use an answer, unless the robot has asked again or given up since.
 
         Args:
             slot: the slot it was asked in.
-            action: with which action.
             residual_m: how far off it is.
+            risk_m: how far off it claims to be.
             now: the current slot.
         """
         if self._slots is None or self._asked is None or self._asked[0] != slot:
             return
-        fix = np.float32(residual_m[0]), np.float32(residual_m[1]), np.int32(action)
+        fix = np.float32(residual_m[0]), np.float32(residual_m[1]), np.float32(risk_m)
         found = _correct(self._asked[1], self._slots, np.int32(slot), *fix, self._params)
         for first in range(slot + 1, now + 1, _CATCH_UP):
             found = _again(found, self._slots, np.int32(first), np.int32(now), self._params)
@@ -253,12 +252,12 @@ def _correct(
     number: jax.Array,
     x_m: jax.Array,
     y_m: jax.Array,
-    action: jax.Array,
+    risk_m: jax.Array,
     params: ControlParams,
 ) -> Belief:
     """The belief of the slot that the robot asked in, with the answer."""
     slot = _slot(slots, number)
-    fix = Fix(x_m, y_m, slot.predicted_m[action], slot.odometry.toward_x, slot.odometry.toward_y)
+    fix = Fix(x_m, y_m, risk_m, slot.odometry.toward_x, slot.odometry.toward_y)
     return belief.correct(before, fix, params.control.correction, params.control.gate_sigma)
 
 

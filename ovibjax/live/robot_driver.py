@@ -3,6 +3,7 @@
 import asyncio
 from collections import Counter
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -132,7 +133,7 @@ class RobotDriver:
 
     async def _ask(self, slot: int, decided: Decided) -> None:
         """Encode, send, and use the answer."""
-        loop, robot, action = asyncio.get_running_loop(), self._robot, decided.action
+        loop, robot = asyncio.get_running_loop(), self._robot
         began_s = loop.time()
         sequence = self._link.next_sequence()
         body = self._question(slot, decided, sequence)
@@ -143,7 +144,8 @@ class RobotDriver:
         found: dict[str, Any] = {}
         if ended.status == "ok" and ended.answer is not None:
             residual_m = robot.residual_m(slot, ended.answer.position_m)
-            robot.corrected(slot, action, residual_m, self._slot)
+            told_m = ended.answer.residual_m
+            robot.corrected(slot, residual_m, told_m if isfinite(told_m) else decided.predicted_m, self._slot)
             self.driven.e2e_ms.add(e2e_ms)
             found = {"residual_m": float(np.hypot(*residual_m)), "expected_m": ended.answer.residual_m}
         else:

@@ -34,6 +34,7 @@ from ovibjax.link.trace_files import read_trace
 from ovibjax.link.traces import Trace, resample
 from ovibjax.live.coded_requests import Sending
 from ovibjax.live.edge_file import EdgeFile, load_edge
+from ovibjax.live.mode_codes import mode_codes
 from ovibjax.live.request_log import RequestLog
 from ovibjax.live.robot import Robot, World
 from ovibjax.live.robot_driver import Driven, Mission, RobotDriver, WorldClock
@@ -43,6 +44,7 @@ from ovibjax.scheduling.clients import default_trace_params
 
 _TELL_S = 1.0
 _LEAST_BUDGET = 0.1  # of a route's, so that a drive of seconds can ask at all
+_FRAMES = 64  # of the routes, that the length of a code is guessed from
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,9 @@ def world_of(job: RobotJob, file: EdgeFile) -> World:
         budget_kb = PAPER_BUDGET_KB * max(job.slots / PAPER_SLOTS, _LEAST_BUDGET)
     sending = sending_of(job, file)
     if sending.coder is not None:
-        sizes_bytes = sending.sizes_bytes(file.actions, file.reference_code)
+        some = file.route_x[:: max(1, len(file.route_x) // _FRAMES)]
+        codes = mode_codes(file.params, file.arch, some, file.actions)
+        sizes_bytes = sending.sizes_bytes(file.actions, codes)
         file = replace(file, actions=replace(file.actions, sizes_bytes=sizes_bytes))
     control = make_controller(file.actions, *prices, budget_kb=budget_kb)
     return World(file, ControlParams(env, control), job.policy, job.slots)

@@ -79,8 +79,8 @@ def serve_grpc(path: str) -> None:
     def ask(body: bytes, _: grpc.ServicerContext) -> bytes:
         request, _state = unpack_request(body)
         action = model.action_of(request.mode, len(request.prefix))
-        row, similarity = model.retrieved(action, model.decoded(action, request.prefix))
-        found = model.residual_m(action, similarity), model.position_m(row)
+        row, distinctness = model.retrieved(action, model.decoded(action, request.prefix))
+        found = model.residual_m(action, distinctness), model.position_m(row)
         answer = Answer("ok", request.client, request.sequence, residual_m=found[0], position_m=found[1])
         return pack_answer(answer)
 

@@ -15,6 +15,7 @@ from ovibjax.live import messages as m
 from ovibjax.live.coded_requests import Sending
 from ovibjax.live.edge_file import load_edge, save_edge
 from ovibjax.live.framing import WireError
+from ovibjax.live.mode_codes import mode_codes
 from ovibjax.live.robot_process import sending_of, world_of
 from tests.live.edges import a_client, an_edge, run
 from tests.live.test_edge_file import raw
@@ -25,8 +26,18 @@ STATE = m.RobotState(3.0, 0.5, 20.0, 1.5)
 SENDINGS = [(code, compact) for code in CODES for compact in (False, True)]
 
 
+_codes = {}
+
+
+def codes_of(file):
+    """Codes of the references, [modes, R, K]."""
+    if file.fingerprint not in _codes:
+        _codes[file.fingerprint] = mode_codes(file.params, file.arch, file.reference_x, file.actions)
+    return _codes[file.fingerprint]
+
+
 def a_request(file, row=0, mode="FS", k=16, sequence=1):
-    prefix = file.reference_code[file.actions.modes.index(mode), row, :k]
+    prefix = codes_of(file)[file.actions.modes.index(mode), row, :k]
     return Request(mode, prefix, voi_m=2.0, deadline_ms=60_000, client=3, sequence=sequence)
 
 
@@ -47,7 +58,7 @@ def test_requests_come_back_decoded(edge_file, code, compact):
 def test_the_tables_of_a_file_fit_the_codes_of_its_robots(edge_file):
     """Half the places of the grid would be far off, twice as many hardly better."""
     for code, most in (("int8", 0.02), ("int4", 0.3), ("entropy", 0.6)):
-        coder, codes = edge_file.coders[code], edge_file.reference_code[:, :, :16].reshape(-1, 16)
+        coder, codes = edge_file.coders[code], codes_of(edge_file)[:, :, :16].reshape(-1, 16)
         received = np.stack([coder.decode(coder.encode(one), 16) for one in codes])
         assert np.sqrt(np.mean((received - codes) ** 2)) < most * codes.std()
 

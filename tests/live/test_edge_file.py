@@ -53,11 +53,11 @@ def test_answers_are_those_of_the_replay(edge_file):
         for a, k in enumerate(actions.prefix):
             x = edge_file.route_x[row].reshape(1, -1)
             code = np.asarray(encode(edge_file.params, x, model.masks[a], edge_file.arch))[0]
-            found, similarity = model.retrieved(a, model.decoded(a, code[:k]))
+            found, distinctness = model.retrieved(a, model.decoded(a, code[:k]))
             off = np.array(model.position_m(found)) - edge_file.origin_m - edge_file.route_m[row]
             np.testing.assert_allclose(off[:2], edge_file.route_residual_m[row, a], atol=1e-4)
-            assert -1.001 <= similarity <= 1.001
-            assert model.residual_m(a, similarity) in edge_file.residual_m[a]
+            assert 0 <= distinctness <= 1
+            np.testing.assert_allclose(model.residual_m(a, distinctness), edge_file.route_risk_m[row, a], rtol=1e-4)
 
 
 def test_what_the_edge_does_not_serve_has_no_action(edge_file):
@@ -66,12 +66,12 @@ def test_what_the_edge_does_not_serve_has_no_action(edge_file):
     assert model.action_of("FS", 17) is None
 
 
-def test_every_class_of_similarity_has_a_residual(edge_file):
+def test_every_level_of_distinctness_has_a_residual(edge_file):
     model = EdgeModel(edge_file)
     for a in range(len(edge_file.actions)):
-        assert np.all(np.diff(edge_file.similarity[a]) >= 0)
-        assert model.residual_m(a, -2.0) == edge_file.residual_m[a, 0]
-        assert model.residual_m(a, 2.0) == edge_file.residual_m[a, -1]
+        assert np.all(np.diff(edge_file.edges[a]) >= 0) and np.all(np.diff(edge_file.risk_m[a]) <= 0)
+        assert model.residual_m(a, -2.0) == model.residual_m(a, np.nan) == edge_file.risk_m[a, 0]
+        assert model.residual_m(a, 2.0) == edge_file.risk_m[a, -1]
 
 
 def changed(about=None, **arrays):
@@ -87,7 +87,7 @@ def changed(about=None, **arrays):
 
 
 DAMAGES = {
-    "another version": (changed(format=np.array("ovibjax-edge 9")), "is not 'ovibjax-edge 1'"),
+    "another version": (changed(format=np.array("ovibjax-edge 9")), "is not 'ovibjax-edge 2'"),
     "no format": (changed(format=None), "missing array 'format'"),
     "no text": (changed(about=None) and (lambda f: f | {"about": np.array("{")}), "'about' is damaged"),
     "not a dictionary": (lambda f: f | {"about": np.array("[]")}, "'about' is damaged"),
@@ -95,9 +95,9 @@ DAMAGES = {
     "a huge width": (changed(about=lambda t: {"arch": {**t["arch"], "hidden": 1 << 40}}), "'about' is damaged"),
     "an unknown mode": (changed(about=lambda t: {"modes": ["F", "XX"]}), "'about' is damaged"),
     "prefixes beyond the code": (changed(about=lambda t: {"prefixes": [16, 4096]}), "'about' is damaged"),
-    "fewer references": (lambda f: f | {"reference_m": f["reference_m"][1:]}, "'reference_code' has shape"),
+    "fewer references": (lambda f: f | {"reference_m": f["reference_m"][1:]}, "'reference_x' has shape"),
     "no reference": (
-        lambda f: f | {"reference_m": f["reference_m"][:0], "reference_code": f["reference_code"][:, :0]},
+        lambda f: f | {"reference_m": f["reference_m"][:0], "reference_x": f["reference_x"][:0]},
         "no reference",
     ),
     "not finite": (lambda f: f | {"route_m": f["route_m"] * np.nan}, "'route_m' has values that are not finite"),

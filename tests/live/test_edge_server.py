@@ -34,11 +34,13 @@ def test_answers_are_the_models(edge_model, tmp_path):
 
     plain, told = run(test())
     action = edge_model.action_of("FS", 16)
-    row, similarity = edge_model.retrieved(action, edge_model.decoded(action, np.sin(np.arange(16, dtype=np.float32))))
+    row, distinctness = edge_model.retrieved(
+        action, edge_model.decoded(action, np.sin(np.arange(16, dtype=np.float32)))
+    )
     for sequence, answer in ((1, plain), (2, told)):
         assert (answer.status, answer.client, answer.sequence) == ("ok", 3, sequence)
         assert answer.position_m == edge_model.position_m(row)
-        assert answer.residual_m == pytest.approx(edge_model.residual_m(action, similarity))
+        assert answer.residual_m == pytest.approx(edge_model.residual_m(action, distinctness))
         assert answer.queue_ms >= 0
         assert answer.service_ms > 0
     first, second = events(log, "request")

@@ -33,7 +33,7 @@ def lived(robot, world):
                 robot.given_up(asked)
             else:
                 residual_m = np.asarray(robot.route.residual_m)[asked, action]
-                robot.corrected(asked, action, residual_m, slot - 1)
+                robot.corrected(asked, residual_m, robot.route.risk_m[asked, action], slot - 1)
         decided = robot.tick(slot, True, np.asarray(draws.delay_s[slot]))
         decisions.append(decided)
         if decided.send:
@@ -42,7 +42,7 @@ def lived(robot, world):
             latency_s = np.float32(8 * size) / np.float32(draws.rate_bps[slot]) + np.float32(draws.latency_s[slot, a])
             flight = int(min(latency_s, timeout_s) // slot_s)
             if flight == 0:
-                robot.corrected(slot, a, np.asarray(robot.route.residual_m)[slot, a], slot)
+                robot.corrected(slot, np.asarray(robot.route.residual_m)[slot, a], robot.route.risk_m[slot, a], slot)
             else:
                 due.setdefault(slot + flight, []).append((slot, a, latency_s > timeout_s))
         errors.append(robot.error_m())
@@ -100,10 +100,10 @@ def test_an_answer_to_an_older_question_is_not_used(edge_file):
     sent = [s for s in range(SLOTS) if robot.tick(s, True, np.zeros(8, np.float32)).send]
     assert len(sent) >= 2
     before = robot.error_m()
-    robot.corrected(sent[0], 2, (0.0, 0.0), SLOTS - 1)
+    robot.corrected(sent[0], (0.0, 0.0), 0.5, SLOTS - 1)
     robot.given_up(sent[0])
     assert robot.error_m() == before
     assert robot.waiting
-    robot.corrected(sent[-1], 2, (0.0, 0.0), sent[-1])
+    robot.corrected(sent[-1], (0.0, 0.0), 0.5, sent[-1])
     assert robot.error_m() == 0.0
     assert not robot.waiting
