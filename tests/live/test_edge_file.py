@@ -136,4 +136,4 @@ def test_bytes_changed_anywhere_never_crash(edge_path, tmp_path):
 
 
 def test_the_format_is_named():
-    assert FORMAT == "ovibjax-edge 1"
+    assert FORMAT == "ovibjax-edge 2"
