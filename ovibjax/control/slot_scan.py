@@ -8,6 +8,7 @@ A request under way is a second belief, which drifts with the first and takes it
 the two are equal until the next request; a correction that is lost or dropped never lands.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +23,7 @@ from ovibjax.control.drift import Drift
 from ovibjax.control.isotropic_belief import Isotropic, error_m, isotropic, risk_m
 from ovibjax.control.policies import POLICIES, Observation
 from ovibjax.control.slot_table import SlotTable
-from ovibjax.runtime.computed_once import computed_case
+from ovibjax.runtime.computed_once import computed_case, computed_once
 from ovibjax.runtime.every_lane import every_lane
 
 _NEVER = 1 << 30
@@ -86,17 +87,17 @@ def scan_slots(start: Belief, table: SlotTable, policy: str, params: ControlPara
     case = _case(params.control, actions)
     zero = jnp.zeros_like(table.rate_bps[0])
 
-    def one(carry: Any, slot: SlotTable) -> tuple[Any, jax.Array]:
+    def one(carry: Any, number: jax.Array) -> tuple[Any, jax.Array]:
         client, error, risk, requests = carry
         # The slot before, whose state is at hand as arrays: decisions are not computed again for two sums.
-        error, risk = _add(error, risk, client, slot.number - 1, params.env.drift)
-        code = computed_case(case, _deciders(slot, policy, params, actions), client)
+        error, risk = _add(error, risk, client, number - 1, params.env.drift)
+        code, used_j = computed_case(case, _deciders(table, number, policy, params, actions), client)
         requests = requests + (code >= 0).astype(jnp.int32)
-        client = _after(client, code, slot, params, actions)
+        client = _after(client, code, at(table, number), actions)._replace(used_j=used_j)
         return (client, error, risk, requests), _action(code, actions).astype(jnp.int8)
 
     begin = (_begin(start, zero, params.env.drift), zero, zero, jnp.int32(0))
-    (client, error, risk, requests), action = jax.lax.scan(one, begin, table)
+    (client, error, risk, requests), action = jax.lax.scan(one, begin, table.number)
     error, risk = _add(error, risk, client, table.number[-1], params.env.drift)
     return Sums(error, risk, requests, client.sent_bytes, action)
 
@@ -133,11 +134,16 @@ def _case(control: Controller, actions: ActionSet) -> jax.Array:
     return jnp.where(every_lane(unlimited), 0, jnp.where(every_lane(free), 1, 2))
 
 
-def _deciders(slot: SlotTable, policy: str, params: ControlParams, actions: ActionSet) -> list[Any]:
+def at(table: SlotTable, number: jax.Array) -> SlotTable:
+    """One slot of a table, taken where it is used: a slice that a branch is given is a copy."""
+    return jax.tree.map(lambda leaf: jax.lax.dynamic_index_in_dim(leaf, number, keepdims=False), table)
+
+
+def _deciders(table: SlotTable, number: jax.Array, policy: str, params: ControlParams, actions: ActionSet) -> list[Any]:
     """Functions of the client that say what it does: where no budget binds, where payload alone does, and in general.
 
-    They return -1 for nothing. Otherwise the lowest bits are the action, the next one whether the correction is used,
-    the others how many slots it takes.
+    They return a code and the energy used so far. The code is -1 for nothing. Otherwise its lowest bits are the action,
+    the next one whether the correction is used, the others how many slots it takes.
     """
     control = params.control
     count = len(actions)
@@ -146,16 +152,23 @@ def _deciders(slot: SlotTable, policy: str, params: ControlParams, actions: Acti
     )
     budgeted = policy != "oracle_action"
 
-    def general(client: Client) -> jax.Array:
-        allowed = affordable(client.sent_bytes, client.used_j, control, actions, budgeted)
-        return _decide(client, slot, policy, (params, control, actions), allowed)
+    def decide(client: Client, control: Controller, allowed: Sequence[jax.Array]) -> jax.Array:
+        return _decide(client, at(table, number), policy, (params, control, actions), tuple(allowed))
 
-    def by_payload(client: Client) -> jax.Array:
+    def general(client: Client) -> tuple[jax.Array, jax.Array]:
+        def by_both(client: Client) -> jax.Array:
+            return decide(client, control, affordable(client.sent_bytes, client.used_j, control, actions, budgeted))
+
+        code = computed_once(number >= 0, by_both, client)
+        energy_j = pick(control.energy_j, jnp.maximum(_action(code, actions), 0), count)
+        return code, client.used_j + jnp.where(code >= 0, energy_j, 0.0)
+
+    def by_payload(client: Client) -> tuple[jax.Array, jax.Array]:
         fits = [client.sent_bytes + jnp.float32(b) <= control.budget_bytes for b in actions.payload_bytes]
-        return _decide(client, slot, policy, (params, costless, actions), tuple(fits))
+        return decide(client, costless, fits), client.used_j
 
-    def unlimited(client: Client) -> jax.Array:
-        return _decide(client, slot, policy, (params, costless, actions), (jnp.bool_(True),) * count)
+    def unlimited(client: Client) -> tuple[jax.Array, jax.Array]:
+        return decide(client, costless, (jnp.bool_(True),) * count), client.used_j
 
     return [unlimited, by_payload if budgeted else unlimited, general]
 
@@ -190,8 +203,8 @@ def _decide(
     return jnp.where(decision.send, decision.action + (((trip & ~1) + used) << _bits(actions)), -1)
 
 
-def _after(client: Client, code: jax.Array, slot: SlotTable, params: ControlParams, actions: ActionSet) -> Client:
-    """A client at the end of a slot in which it did what a code says."""
+def _after(client: Client, code: jax.Array, slot: SlotTable, actions: ActionSet) -> Client:
+    """A client at the end of a slot in which it did what a code says; the energy is not counted here."""
     count = len(actions)
     send, action, trip = code >= 0, jnp.maximum(_action(code, actions), 0), code >> _bits(actions)
     used = send & (trip & 1 == 1)
@@ -203,7 +216,6 @@ def _after(client: Client, code: jax.Array, slot: SlotTable, params: ControlPara
         pick(slot.fixed.error_b, action, count),
     )
     paid = pick([jnp.float32(b) for b in actions.payload_bytes], action, count)
-    energy_j = pick(params.control.energy_j, action, count)
     return Client(
         belief=jax.tree.map(jnp.add, _current(client, slot.number), slot.drifted),
         pending=jax.tree.map(lambda f, p, d: jnp.where(used, f, p + d), fix, client.pending, slot.drifted),
@@ -211,7 +223,7 @@ def _after(client: Client, code: jax.Array, slot: SlotTable, params: ControlPara
         arrives=jnp.where(send, arrives, client.arrives),
         last=jnp.where(send, slot.number, client.last),
         sent_bytes=client.sent_bytes + jnp.where(send, paid, 0.0),
-        used_j=client.used_j + jnp.where(send, energy_j, 0.0),
+        used_j=client.used_j,
     )
 
 
