@@ -25,8 +25,9 @@ ties by arrival MaxWeight would be FIFO. The figure of congestion shows all thre
 
 SENT = FUSED
 """The control replays whose requests are scheduled: corrections are fused by their calibrated risk. Where they replace
-the estimate, an answer that is not found leaves a client as it was, and it asks again at once: on tuning seeds eight of
-the twelve requests of a route come in successive slots, in which thirty clients are more than the server can do."""
+the estimate, an answer that is not found leaves a client as it was, and it asks again at once: on tuning seeds three of
+nine requests of a route come in the slot after another (fused: one or two), and the requests of thirty clients in two
+successive slots are more than the server can do."""
 
 SCOPES = ("top10", "all")
 """Requests that are judged: the tenth with the largest scheduling value, and all."""

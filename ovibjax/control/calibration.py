@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 LEVELS = 16
-"""Levels that are told apart, with equally many training frames each."""
+"""Levels that are told apart, with equally many training frames each; a choice of ours."""
 
 
 class Calibration(NamedTuple):

@@ -23,6 +23,7 @@ from ovibjax.world.town.layout import TownConfig
 TOWN = TownConfig(seed=6, size_m=200.0, block_m=100.0)
 
 DRIVES = 6
+"""Half of them are held out; the paper has one held-out route, and does not say how many training routes."""
 
 SURVEY_M, SURVEY_DEG = 9.0, 15.0
 """The edge keeps a frame this far from the last one, or turned by so much. Leaving out only the frame itself would

@@ -127,6 +127,9 @@ def make_environment(
 ) -> Environment:
     """The default environment.
 
+    Of its numbers the paper gives the slot and the range of link profiles; a client starts with the risk that a request
+    leaves. Fading, the wait at the edge, downlink and time-out are assumptions.
+
     Args:
         context_share: [C] share of slots in each context; sets the drift, see `rates_from_paper`.
         mean_kb_per_s: link profile.
