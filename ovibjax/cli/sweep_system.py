@@ -43,6 +43,10 @@ class SweepSystem:
     """Weights of VOI against backlog in Base-DPP."""
     scheduler: tuple[str, ...] = ("all",)
     """Rules at the edge: fifo edf maxweight base_dpp voi_lyapunov; all by default."""
+    code: tuple[str, ...] = ("float32",)
+    """How prefixes are written: float32 int8 int4 entropy; they cost no training."""
+    compact: bool = False
+    """Send those that are not floats under a header of about 13 bytes instead of 20 and 4 per view."""
     seed: tuple[str, ...] = ("100:103",)
     """Seeds, as numbers or ranges: 100:105 is 100 101 102 103 104. Those below 100 are for tuning."""
     policy: Literal["voi", "uncertainty", "fixed_front", "periodic", "budgeted_periodic", "random", "oracle_action"] = (
@@ -71,6 +75,7 @@ class SweepSystem:
     def run(self) -> None:
         """Run the command."""
         settle(self.out, self.threads)
+        from ovibjax.link.codes.tables import CODES
         from ovibjax.scheduling.rules import POLICIES
         from ovibjax.system.data import PREFIXES
 
@@ -86,6 +91,11 @@ class SweepSystem:
         for name in schedulers:
             if name not in POLICIES:
                 raise InputError(f"--scheduler {name}: there are {', '.join(POLICIES)}")
+        for name in self.code:
+            if name not in CODES:
+                raise InputError(f"--code {name}: there are {', '.join(CODES)}")
+        if len(set(self.code)) < len(self.code):
+            raise InputError("--code: one of them is there twice")
         require_positive(self, "steps", "clients", "fleet")
         if not self.kb_per_s > 0:
             raise InputError(f"--kb-per-s {self.kb_per_s} is not positive")
@@ -95,7 +105,7 @@ class SweepSystem:
 
     def _sweep(self, axes: dict[str, list[Any]], along: dict[str, Any], schedulers: tuple[str, ...]) -> None:
         from ovibjax.cards.control_study import drives_of
-        from ovibjax.system.data import SystemSize
+        from ovibjax.system.data import FLOATS, SystemSize
         from ovibjax.system.grids import sweep_system
 
         own = own_drive(self.data, self.order)
@@ -105,6 +115,8 @@ class SweepSystem:
         settings: dict[str, Any] = {"policy": self.policy}
         settings |= {"steps": self.steps, "clients": self.clients, "fleet": self.fleet, "kb_per_s": self.kb_per_s}
         settings |= {"k": along["k"], "V": along["V"], "scheduler": list(schedulers)}
+        if self.code != FLOATS:  # stores of floats alone are those of before
+            settings |= {"code": list(self.code), "compact": self.compact}
         with progress_bar("training and replaying", 1) as update:
             counted = Counted(update)
             dataset, store = kept_in(
@@ -115,6 +127,7 @@ class SweepSystem:
                     axes,
                     (along["k"], along["V"], schedulers),
                     self.policy,
+                    (self.code, self.compact),
                     store=store,
                     settings=settings,
                     notes={"data": str(self.data)} if self.data else None,

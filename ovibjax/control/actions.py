@@ -71,9 +71,11 @@ class SweptActions(ActionSet):
 
     Attributes:
         k: the prefix length, a traced scalar.
+        sizes_bytes: [A] traced sizes of requests, where prefixes are coded otherwise than in floats.
     """
 
     prefixes: tuple[int, ...] = (0,)
+    sizes_bytes: Any = None
     k: Any = 0
 
     @property
@@ -83,7 +85,9 @@ class SweptActions(ActionSet):
 
     @property
     def payload_bytes(self) -> Any:
-        """[A] float32 request size b(a) = 4 k + 20 + 4 |S|."""
+        """[A] float32 request size b(a) = 4 k + 20 + 4 |S|, or what was given."""
+        if self.sizes_bytes is not None:
+            return self.sizes_bytes
         views = jnp.array([len(MODES[mode]) for mode in self.modes], jnp.int32)
         return request_bytes(self.prefix, views).astype(jnp.float32)
 

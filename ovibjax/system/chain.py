@@ -16,7 +16,8 @@ import jax.numpy as jnp
 from ovibjax.control.actions import SweptActions
 from ovibjax.control.residuals import encode_views
 from ovibjax.control.route_summary import summarize
-from ovibjax.system.data import SystemConfig, SystemData
+from ovibjax.system.coding import overhead_bytes, received
+from ovibjax.system.data import FLOATS, SystemConfig, SystemData
 from ovibjax.system.stages import arrivals, localize, replay_clients, serve, train
 from ovibjax.views import mode_mask
 
@@ -45,6 +46,11 @@ UNITS = {
 """Units of the metrics."""
 
 
+def dims_of(codes: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Trailing dimensions of the metrics of `along`: `DIMS`, and `code` before them unless all is sent as floats."""
+    return DIMS if codes == FLOATS else {name: ("code", *dims) for name, dims in DIMS.items()}
+
+
 def run(key: jax.Array, point: dict[str, jax.Array], data: SystemData, static: SystemConfig) -> dict[str, jax.Array]:
     """The system at one point.
 
@@ -55,9 +61,11 @@ def run(key: jax.Array, point: dict[str, jax.Array], data: SystemData, static: S
         static: static choices.
 
     Returns:
-        Metrics as in `DIMS`, without the dimensions `k` and `V`.
+        Metrics as in `DIMS`, without the dimensions `k` and `V`; by the first of the codes.
     """
     found = along(key, point, jnp.reshape(point["k"], (1,)), jnp.reshape(point["V"], (1,)), data, static)
+    if static.codes != FLOATS:
+        found = jax.tree.map(lambda value: value[0], found)
     return {name: value[0] if DIMS[name] == ("k",) else value[0, 0] for name, value in found.items()}
 
 
@@ -80,7 +88,7 @@ def along(
         static: static choices.
 
     Returns:
-        Metrics by name, trailing dimensions as in `DIMS`.
+        Metrics by name, trailing dimensions as `dims_of` says.
     """
     train_key, route_key, queue_key = jax.random.split(key, 3)
     params = train(train_key, point, data, static)
@@ -88,8 +96,9 @@ def along(
     flat = data.x.reshape(data.x.shape[0], -1)
     codes = jax.lax.map(lambda mask: encode_views(params, flat, mask, static.train.arch), masks)
 
-    def at_prefix(k: jax.Array) -> dict[str, jax.Array]:
-        actions = SweptActions(modes=static.modes, k=k)
+    def at_prefix(k: jax.Array, codes: jax.Array, sizes_bytes: jax.Array | None) -> dict[str, jax.Array]:
+        of_k = None if sizes_bytes is None else sizes_bytes[:, k - 1]
+        actions = SweptActions(modes=static.modes, k=k, sizes_bytes=of_k)
         routes, residual_m = localize(params, codes, masks, k, data, static)
         history, free_kb = replay_clients(route_key, routes, actions, data, static)
         workload = arrivals(queue_key, history, routes, actions, data, static)
@@ -105,7 +114,17 @@ def along(
             **serve(workload, history, Vs, data, static),
         }
 
-    return jax.lax.map(at_prefix, prefixes)
+    if static.codes == FLOATS:
+        return jax.lax.map(lambda k: at_prefix(k, codes, None), prefixes)
+    each = [received(codes, data.known, code) for code in static.codes]
+    beside = [overhead_bytes(static.modes, code, static.compact) for code in static.codes]
+    coded = jnp.stack([sent for sent, _ in each])
+    sizes_bytes = jnp.stack([size for _, size in each]) + jnp.array(beside, jnp.float32)[..., None]
+
+    def of_code(one: tuple[jax.Array, jax.Array]) -> dict[str, jax.Array]:
+        return jax.lax.map(lambda k: at_prefix(k, *one), prefixes)
+
+    return jax.lax.map(of_code, (coded, jnp.ceil(sizes_bytes)))
 
 
 @dataclass(frozen=True)
@@ -127,7 +146,7 @@ class System:
             shared: prefixes, values of V, and `SystemData`.
 
         Returns:
-            Metrics as in `DIMS`.
+            Metrics as `dims_of` says.
         """
         prefixes, Vs, data = shared
         return along(key, point, prefixes, Vs, data, self.static)

@@ -27,6 +27,10 @@ PREFIXES = (8, 16, 32, 64, 128)
 """Prefix lengths that the encoder is trained at."""
 
 
+FLOATS = ("float32",)
+"""Prefixes as the paper sends them."""
+
+
 @dataclass(frozen=True)
 class SystemConfig:
     """Static choices; hashable.
@@ -38,6 +42,8 @@ class SystemConfig:
         schedulers: scheduling rules at the edge.
         mixed: training examples made by mixing frames, see `encoder.checkpoint.mix_frames`.
         requests: most requests of one client; more would not be served, which `unserved` tells.
+        codes: how prefixes are written, some of `link.codes.CODES`; but for floats alone a dimension of the metrics.
+        compact: whether those that are not floats travel under a compact header.
     """
 
     train: TrainConfig
@@ -46,6 +52,8 @@ class SystemConfig:
     schedulers: tuple[str, ...] = POLICIES
     mixed: int = 8192
     requests: int = 40
+    codes: tuple[str, ...] = FLOATS
+    compact: bool = False
 
 
 class SystemData(NamedTuple):

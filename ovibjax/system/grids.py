@@ -9,8 +9,8 @@ import xarray
 
 from ovibjax.features.frames import FeatureSet
 from ovibjax.sweep.engine import run
-from ovibjax.system.chain import DIMS, UNITS, System
-from ovibjax.system.data import SystemSize, make_system
+from ovibjax.system.chain import UNITS, System, dims_of
+from ovibjax.system.data import FLOATS, SystemSize, make_system
 
 
 def sweep_system(
@@ -18,6 +18,7 @@ def sweep_system(
     axes: Mapping[str, Any],
     along: tuple[Sequence[int], Sequence[float], Sequence[str]],
     policy: str = "voi",
+    coding: tuple[Sequence[str], bool] = (FLOATS, False),
     **options: Any,
 ) -> xarray.Dataset:
     """Run the system on a grid in one compiled program.
@@ -27,20 +28,24 @@ def sweep_system(
         axes: values of beta, gamma, seed or other `system.HYPERS`; what is trained.
         along: prefixes k, values of V, and schedulers; what a trained member is replayed with.
         policy: request policy.
+        coding: how prefixes are written, and whether those that are not floats travel under a compact header.
         options: further options of `sweep.run`, such as `store`.
 
     Returns:
-        One dimension per axis, then k, V and scheduler.
+        One dimension per axis, then code unless all is sent as floats, k, V and scheduler.
     """
     data, static = make_system(*scene)
     prefixes, Vs, schedulers = along
+    codes, compact = tuple(coding[0]), coding[1]
+    static = replace(static, policy=policy, schedulers=tuple(schedulers), codes=codes, compact=compact)
+    coords: dict[str, Any] = {"k": list(prefixes), "V": list(Vs), "scheduler": list(schedulers)}
     shared = (jnp.asarray(prefixes, jnp.int32), jnp.asarray(Vs, jnp.float32), data)
     return run(
-        System(replace(static, policy=policy, schedulers=tuple(schedulers))),
+        System(static),
         axes,
         shared,
-        dims=DIMS,
-        coords={"k": list(prefixes), "V": list(Vs), "scheduler": list(schedulers)},
+        dims=dims_of(codes),
+        coords=coords | ({"code": list(codes)} if codes != FLOATS else {}),
         units=UNITS,
         **options,
     )

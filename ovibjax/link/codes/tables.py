@@ -20,10 +20,14 @@ STEP = 0.5
 """Step of `entropy` unless one is given, in the units of the code, in which all features together have the variance 1
 per coordinate: at prefixes of 24 and more it costs no accuracy on tuning seeds."""
 
-_PSEUDO_COUNT = 16.0  # training codes that the smooth guess counts for against what was seen
+PSEUDO_COUNT = 16.0
+"""Training codes that the smooth guess of shares counts for against what was seen."""
+
+RANGE_SHARES = np.linspace(0.25, 1.0, 16)
+"""Shares of the range of training codes that the places of `int8` and `int4` may span; the rest saturates."""
+
 _MOST_LEVELS = 4096
 _FURTHEST = 1 << 20  # whole numbers that float32 holds exactly, with room
-_SHARES = np.linspace(0.25, 1.0, 16)  # of the range seen; the rest saturates
 
 
 class CodeTable(NamedTuple):
@@ -97,7 +101,7 @@ def _even_grid(codes: np.ndarray, levels: int) -> Grid:
     # A coordinate that never moves still needs a step that its value is a small multiple of.
     least = np.maximum(np.abs(middle) / _FURTHEST * 2, 1e-20)
     grids, errors = [], []
-    for share in _SHARES:
+    for share in RANGE_SHARES:
         step = np.maximum(2 * share * half / (levels - 2), least).astype(np.float32)
         first = np.floor((middle - share * half) / step).astype(np.int32)
         grids.append(Grid(step, first, first + np.int32(levels - 1)))
@@ -128,7 +132,7 @@ def _frequencies(codes: np.ndarray, step: np.ndarray) -> CodeTable:
         place = np.arange(count) + first[j]
         width = np.sqrt(np.var(number[:, j]) + 1 / 12)
         bell = np.exp(-0.5 * ((place - number[:, j].mean()) / width) ** 2) + 1e-6
-        share = (seen + _PSEUDO_COUNT * bell / bell.sum()) / (len(codes) + _PSEUDO_COUNT)
+        share = (seen + PSEUDO_COUNT * bell / bell.sum()) / (len(codes) + PSEUDO_COUNT)
         cumulative[j, : count + 1] = np.concatenate([[0], np.cumsum(_whole(share))])
     grid = Grid(np.array(step, np.float32), first.astype(np.int32), last.astype(np.int32))
     return CodeTable(grid, cumulative)
