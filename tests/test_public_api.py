@@ -30,7 +30,8 @@ PUBLIC = {
         coarse_to_fine errors judge judge_prefixes leave_one_out mix nearest retrieve select_eta spatial_folds
         summarize""",
     "ovibjax.encoder": """Architecture Hypers MemberData TrainConfig TrainData active_dims ard_kl decode encode fit
-        fixed_rate gaussian_kl init locate make_hypers member_data orthogonality_penalty paper_recipe prefix_mask""",
+        fixed_rate for_bits gaussian_kl init locate make_hypers member_data orthogonality_penalty paper_recipe
+        prefix_mask""",
     "ovibjax.features": """CONTEXTS FeatureSet Split backbones describe extract fit_basis images load make_feature_set
         open_backbone open_source project save split_indices""",
     "ovibjax.features.backbones": "Backbone BackboneOptions fingerprint normalise open_backbone resize_and_crop",

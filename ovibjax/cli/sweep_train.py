@@ -153,10 +153,10 @@ class SweepTrain:
         """Static choices of the training."""
         from ovibjax.encoder.model import Architecture
         from ovibjax.encoder.recipe import training_prefixes
-        from ovibjax.encoder.train import TrainConfig
+        from ovibjax.encoder.train import TrainConfig, for_bits
 
         rank = max(Architecture.rank, self.latent)
-        return TrainConfig(
+        static = TrainConfig(
             arch=Architecture(n_views=n_views, view_dim=view_dim, latent=self.latent, rank=rank),
             prefixes=training_prefixes(self.latent),
             prior=self.prior,
@@ -164,6 +164,7 @@ class SweepTrain:
             batch=self.batch,
             precision=self._precision(),
         )
+        return for_bits(static) if self.prior == "bits" else static
 
     def _train(
         self,

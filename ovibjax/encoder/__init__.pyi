@@ -14,6 +14,7 @@ from .train import TrainConfig as TrainConfig
 from .train import TrainData as TrainData
 from .train import fit as fit
 from .train import fixed_rate as fixed_rate
+from .train import for_bits as for_bits
 from .train import paper_recipe as paper_recipe
 from .training_data import MemberData as MemberData
 from .training_data import member_data as member_data
@@ -30,6 +31,7 @@ __all__ = [
     "encode",
     "fit",
     "fixed_rate",
+    "for_bits",
     "gaussian_kl",
     "init",
     "locate",

@@ -19,6 +19,9 @@ Drawn evenly, prefixes too short to localize at all (k = 4) take from those that
 that completes the prefix keeps for nothing, take from short ones.
 """
 
+SHORTEST_FOR_BITS = 8
+"""Shortest length that is drawn in training for bits: four rounded coordinates localize nothing."""
+
 EPOCHS = 75
 MIN_STEPS, MAX_STEPS = 400, 10_000
 """The one rule for the length of a training: so many passes over the training examples, within these bounds."""
