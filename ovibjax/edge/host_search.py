@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ovibjax.edge.clusters import NO_BOUND, ClusterIndex, unit_rows
 from ovibjax.runtime.limits import cores
-from ovibjax.runtime.threads import in_order
+from ovibjax.runtime.threads import in_order, quick_one_blas_thread
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.integer]
@@ -64,11 +64,14 @@ def search_on_host(query: NDArray[np.floating], index: ClusterIndex, k: int, pro
         return np.zeros((0, k), np.int32), np.zeros((0, k), np.float32)
     unit = unit_rows(np.asarray(query, np.float32))
     at_once = max(1, _BOUNDS // (probes * tables.most))
-    parts = max(-(-len(unit) // at_once), len(unit) // _WORTH_A_THREAD and min(cores(), len(unit) // _WORTH_A_THREAD))
-    if parts <= 1:
+    parts = max(-(-len(unit) // at_once), 1)
+    if len(unit) >= 2 * _WORTH_A_THREAD:  # how many cores there are takes longer to find out than a query
+        parts = max(parts, min(cores(), len(unit) // _WORTH_A_THREAD))
+    if parts == 1:
         return _search(unit, tables, k, probes)
     pieces = np.array_split(unit, parts)
-    found = list(in_order(lambda piece: _search(piece, tables, k, probes), pieces, cores()))
+    with quick_one_blas_thread:
+        found = list(in_order(lambda piece: _search(piece, tables, k, probes), pieces, cores()))
     return np.concatenate([row for row, _ in found]), np.concatenate([similarity for _, similarity in found])
 
 

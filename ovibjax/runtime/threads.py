@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
-from typing import TypeVar
+from threading import Lock
+from typing import Any, TypeVar
 
 import jax
 import scipy.linalg  # noqa: F401  jax calls its LAPACK on a CPU; what is not loaded cannot be limited
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from ovibjax.runtime.limits import MOST_PROGRAMS, cores
 
@@ -43,6 +44,34 @@ def one_blas_thread() -> Iterator[None]:
     """Keep BLAS and LAPACK, which jax calls on a CPU too, to one thread: then no bit depends on the number of cores."""
     with threadpool_limits(1, user_api="blas"):
         yield
+
+
+class _BlasLimit:
+    """One BLAS thread while anybody is inside, in any number of threads; the last one out restores what was before."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside = Lock(), 0
+        self._libraries: ThreadpoolController | None = None
+        self._limit: Any = None
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._inside == 0:
+                # Looking for libraries takes longer than a search; those that come later are not ours.
+                self._libraries = self._libraries or ThreadpoolController()
+                self._limit = self._libraries.limit(limits=1, user_api="blas")
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                self._limit.restore_original_limits()
+
+
+quick_one_blas_thread = _BlasLimit()
+"""`one_blas_thread` for pieces of work of a millisecond, which may run in several threads: for speed, as BLAS's own
+threads wait for each other where all cores are busy already."""
 
 
 def in_threads(
