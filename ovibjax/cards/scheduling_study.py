@@ -39,8 +39,8 @@ PAIRED = "paired 95 % interval above zero"
 def events_of(job: Job) -> Events:
     """VOI-Control's requests, [replays, E].
 
-    The representative seed's on the paper's route come first: they give the times. A client's own are replays of the
-    held-out routes in turn, with seeds of their own, where there are several; otherwise of the one route.
+    The representative seed's on the route of protocol `paper` come first: they give the times. A client's own are
+    replays of the held-out routes in turn, with seeds of their own; where there is but one route, of that.
     """
     found = study(job)
     rates, actions, first = np.asarray(found.env.drift.rate_m_per_s), found.scene.actions, representative(found, SENT)

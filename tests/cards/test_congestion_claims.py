@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
+from ovibjax.cards.catalog import cards_folder, load_card
 from ovibjax.cards.congestion_claims import ORDER, judge_claims
 from ovibjax.cards.congestion_drawing import PAPER_ALL_EDGE_MS, PAPER_TOP
 from ovibjax.cards.congestion_study import Congestion
-from ovibjax.report.claims import HELD, NOT_HELD, REPORTED
+from ovibjax.report.claims import HELD, NOT_HELD, REPORTED, interval
 from ovibjax.scheduling.congestion import LEVELS
 from ovibjax.scheduling.replay_metrics import GroupMetrics, ReplayMetrics
 from ovibjax.scheduling.rules import POLICIES
 from ovibjax.scheduling.ties import TIES
 
 SEEDS = 8
-WORST = max(PAPER_ALL_EDGE_MS.values()) + 1.0
 
 
 def levels_of(top, every):
@@ -76,3 +76,11 @@ def test_a_cut_is_judged_by_its_size(cut, verdict):
     assert claims["It cuts it by at least 60 %"].verdict == verdict
     assert claims["Top decile at high congestion: VOI-Lyapunov cuts the edge p95 of Base-DPP"].verdict == HELD
     assert list(LEVELS) == ["low", "medium", "high"]
+
+
+def test_the_caption_says_what_fifo_comes_to_and_how_many_seeds_are_behind_a_panel():
+    levels = levels_of(papers_top(), PAPER_ALL_EDGE_MS)
+    found = Congestion(levels, levels, levels, levels, 13)
+    text = load_card(cards_folder() / "multi_client.py").caption(found, [1, 2])
+    fifo = interval(found.at("fifo", "all", "edge_p95_ms")).text("ms", 0)
+    assert f"here it is {fifo})" in text and f"{SEEDS} seeds. " in text and "; 2 seeds perturb" in text
