@@ -8,8 +8,9 @@ PARTS: dict[str, tuple[str, ...]] = {
     "Multi-client scheduling": ("multi_client", "weights", "theorem"),
     "Real-scene evaluation": ("real_scene",),
     "The parts together": ("walkthrough", "system_grid"),
+    "Beyond the paper": ("bytes",),
 }
-"""Figures by section of the paper; the last part is ours."""
+"""Figures by section of the paper; the last two parts are ours."""
 
 ABOUT = (
     "ovibjax implements “Task-Oriented Communications for Edge-Assisted Multi-View Localization” and measures every "

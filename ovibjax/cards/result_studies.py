@@ -196,6 +196,19 @@ TABLES: dict[str, TableStudy] = {
         },
         labels=_AXES | RULES | {"scheduler": "rule"},
     ),
+    "bytes/table.csv": TableStudy(
+        "bytes",
+        "Real bytes: every method, code and prefix",
+        ("method", "code", "setting", "step", "k"),
+        {"mean_m": "mean error (m)", "code_bytes": "code (bytes)", "ideal_bytes": "ideal length (bytes)"}
+        | {"packet_bytes": "packet (bytes)", "compact_bytes": "compact packet (bytes)"},
+        start={
+            "x": "k",
+            "lines": "code",
+            "fixed": {"method": METHODS["ovib"], "setting": "0.001", "step": "0"},
+        },
+        labels=_AXES | _METHODS | {"bits": "trained for bits", "pq": "product quantisation", "setting": "β or λ"},
+    ),
 }
 """How each table is explored, by its file."""
 
