@@ -233,3 +233,15 @@ def test_devices_split_the_processor(features, tmp_path):
     assert done.returncode == 0, done.stderr
     done = ovibjax(*arguments, "--gamma", 0, 0.1, 1, env=environment)  # goes on with one
     assert done.returncode == 0 and open_dataset(out).finished.size == 6, done.stderr
+
+
+@pytest.mark.slow
+def test_training_for_bits_says_what_codes_take(features, tmp_path, monkeypatch, capsys):
+    out, axes = tmp_path / "bits.zarr", ("--beta", "1e-4", "0.3", "--seed", "0", "--prefix", "4", "8", "--latent", "8")
+    common = ("--steps", "60", "--batch", "32", "--data", features, "--prior", "bits", "--out", out)
+    done_here(monkeypatch, capsys, "sweep", "train", *axes, *common)
+    found = open_dataset(out)
+    assert found.code_bits.attrs["units"] == found.rate.attrs["units"] == "bits"
+    assert found.code_bits.dims == found.val_mean_m.dims
+    cheap, dear = (found.code_bits.sel(beta=beta).squeeze().values for beta in (1e-4, 0.3))
+    assert (cheap[1] > cheap[0] > 0) and (dear < cheap).all()

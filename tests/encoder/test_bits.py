@@ -11,7 +11,7 @@ import pytest
 from ovibjax.encoder.bits import STEP, code_bits, code_of, steps_of, with_bits
 from ovibjax.encoder.loss import composite_loss, make_hypers
 from ovibjax.encoder.model import encode
-from ovibjax.encoder.train import TrainConfig, sample_batch
+from ovibjax.encoder.train import TrainConfig, for_bits, sample_batch
 from tests.encoder.cases import QUICK, TERMS, UAV, make_data, make_params, random_batch, train
 from tests.encoder.test_loss import network_parts, numpy_parts
 from tests.oracles import encoder as oracle
@@ -162,3 +162,12 @@ def test_training_begins_with_the_prior_of_its_codes():
     np.testing.assert_allclose(bits["mean"], z.mean(axis=0), rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(np.exp(bits["log_width"]), z.std(axis=0) + 0.1 * STEP, rtol=1e-4)
     np.testing.assert_allclose(np.exp(bits["log_step"]), STEP, rtol=1e-6)
+
+
+def test_the_recipe_changes_lengths_prior_and_linear_paths_alone():
+    static = TrainConfig(steps=77)
+    changed = for_bits(static)
+    assert min(changed.prefixes) == 8 and set(changed.prefixes) == set(static.prefixes) - {4}
+    assert dataclasses.replace(static, prefixes=changed.prefixes, prior="bits", linear_lr=1.0) == changed
+    short = TrainConfig(arch=dataclasses.replace(static.arch, latent=4), prefixes=(4, 4))
+    assert for_bits(short).prefixes == (4, 4)
