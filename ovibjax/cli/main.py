@@ -14,8 +14,10 @@ def main() -> None:
     """Entry point of the console script."""
     with watched() as presses:
         try:
+            from ovibjax.cli.terminal import civil, open_streams
+
+            open_streams()
             from ovibjax.cli.commands import run
-            from ovibjax.cli.terminal import civil
             from ovibjax.errors import InputError
 
             with civil():

@@ -56,7 +56,7 @@ class Show:
     watch: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[SECONDS]")] = None
     """Redraw the table every 2 or so many seconds until all is finished, or Ctrl-C; waits for a store to come."""
     csv: Path | None = None
-    """Write every finished member as a row of this CSV file."""
+    """Write every finished member as a row of this CSV file, with --metric or all metrics."""
     parquet: Path | None = None
     """Write the same rows as a Parquet file (extra [parquet])."""
     plot: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="AXIS [AXIS]")] = None
@@ -127,13 +127,12 @@ class Show:
 
     def _files(self, dataset: "xr.Dataset") -> list[tuple[Path, Callable[[Path], Any]]]:
         """What to write, and how."""
-        from ovibjax.report.export import write_csv, write_parquet
+        from ovibjax.report.export import exported, write_csv, write_parquet
 
         files: list[tuple[Path, Callable[[Path], Any]]] = []
-        if self.csv is not None:
-            files.append((self.csv, partial(write_csv, dataset)))
-        if self.parquet is not None:
-            files.append((self.parquet, partial(write_parquet, dataset)))
+        for path, write in ((self.csv, write_csv), (self.parquet, write_parquet)):
+            if path is not None:
+                files.append((path, partial(write, exported(dataset, self.metric, path))))
         if self.plot is not None:
             from ovibjax.report.plotting import plot
 

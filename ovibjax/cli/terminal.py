@@ -1,12 +1,13 @@
 """Good manners on a terminal that is not one, or not ours: other encodings, pipes that close, warnings of libraries."""
 
 import codecs
+import errno
 import os
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO
 
 from ovibjax.errors import Doubt
 
@@ -16,6 +17,7 @@ _SIGNS |= {"√": "sqrt", "∞": "inf", "Σ": "sum", "Δ": "Delta", "Φ": "Phi",
 _SIGNS |= {"δ": "delta", "ε": "epsilon", "η": "eta", "λ": "lambda", "μ": "mu", "ν": "nu", "σ": "sigma", "ψ": "psi"}
 _SIGNS |= dict.fromkeys("─━═╌╍┄┅╴╶╸╺╼╾", "-") | dict.fromkeys("│┃║╎╏", "|")
 _SIGNS |= dict.fromkeys("╭╮╰╯┌┐└┘├┤┬┴┼┏┓┗┛┣┫┳┻╋╇╈╡╞╪╤╧", "+")
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CACHE = "persistent compilation cache"
 _SIGPIPE_CODE = 128 + 13  # as a shell reports of programs that the signal ends
 
@@ -32,6 +34,13 @@ def _replaced(error: UnicodeError) -> tuple[str, int]:
 codecs.register_error("ovibjax.plain", _replaced)
 
 
+def open_streams() -> None:
+    """Put something in the place of standard output or error that was closed before the start (`>&-`, services)."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
+
+
 @contextmanager
 def civil() -> Iterator[None]:
     """Run a command with output that any terminal takes, and end quietly where nobody reads it any more.
@@ -40,7 +49,7 @@ def civil() -> Iterator[None]:
     folder of compiled programs.
 
     Raises:
-        SystemExit: standard output or error was closed by its reader.
+        SystemExit: standard output or error was closed by its reader, or its disk is full.
     """
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
@@ -55,10 +64,32 @@ def civil() -> Iterator[None]:
             finally:
                 sys.stdout.flush()
     except BrokenPipeError:
-        # What is left in the buffers must go somewhere when Python ends.
-        for stream in (sys.stdout, sys.stderr):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        _discard(sys.stdout, sys.stderr)
         sys.exit(_SIGPIPE_CODE)
+    except OSError as error:
+        # What could not be written to a stream waits in its buffer, unless it has none (PYTHONUNBUFFERED).
+        broken = [stream for stream in (sys.stdout, sys.stderr) if not _flushes(stream)]
+        if not broken and error.errno not in _FULL:
+            raise
+        _discard(*broken)
+        where = "" if error.filename is None else f"{error.filename}: "
+        with suppress(OSError):  # standard error may be the one
+            print(f"ovibjax: {where}cannot write the output ({error.strerror or error})", file=sys.stderr)
+        sys.exit(2)
+
+
+def _flushes(stream: TextIO) -> bool:
+    try:
+        stream.flush()
+    except OSError:
+        return False
+    return True
+
+
+def _discard(*streams: TextIO) -> None:
+    """Let what is left in the buffers go somewhere when Python ends."""
+    for stream in streams:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 class _Notes:

@@ -6,8 +6,34 @@ from typing import Any
 
 import xarray as xr
 
-from ovibjax.errors import InputError
-from ovibjax.report.labels import axes_of, grid_dims, metrics
+from ovibjax.errors import InputError, doubt
+from ovibjax.report.labels import axes_of, find, grid_dims, metrics
+
+
+def exported(dataset: xr.Dataset, metric: str | None, path: Path) -> xr.Dataset:
+    """What goes into a file; what cannot is named.
+
+    Args:
+        dataset: results.
+        metric: the one that is wanted; all by default.
+        path: the file, for messages.
+
+    Returns:
+        The metric or all of them, with `finished` and `diverged`.
+
+    Raises:
+        InputError: no such metric, or none at all that a row could hold.
+    """
+    held = metrics(dataset)
+    bare = [str(name) for name in dataset.data_vars if name not in (*held, "finished", "diverged")]
+    named = metric if metric in bare else ", ".join(bare[:3]) + (f" and {len(bare) - 3} more" if len(bare) > 3 else "")
+    why = f"no rows for {named}: not numbers along dimensions with values (coords); ovibjax.sweep.open has all"
+    if metric in bare or not held:
+        raise InputError(f"{path}: {why}")
+    chosen = held if metric is None else [find(metric, held, "metric")]
+    if metric is None and bare:
+        doubt(path, why)
+    return dataset[[*chosen, "finished", "diverged"]]
 
 
 def write_csv(dataset: xr.Dataset, path: Path) -> None:

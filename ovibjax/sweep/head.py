@@ -62,6 +62,11 @@ def create(real: Path, layout: Layout, config: dict[str, Any]) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def is_store(path: Path) -> bool:
+    """Whether a folder says of itself that it is a store of today's format or a later one."""
+    return (path / _HEAD).is_file()
+
+
 def read_head(path: Path) -> tuple[Layout, dict[str, Any]]:
     """What a store holds and what its members' bits depend on.
 

@@ -8,6 +8,7 @@ import zarr
 
 from ovibjax.errors import InputError, one_line
 from ovibjax.sweep.grid import Axis, Grid
+from ovibjax.sweep.head import is_store
 from ovibjax.sweep.layout import Variable, layout_of
 from ovibjax.sweep.members import DIGEST_BYTES, rows_of
 from ovibjax.sweep.store import Store
@@ -30,6 +31,8 @@ def upgrade(path: str | Path, out: str | Path) -> int:
         InputError: no such store, a damaged one, or `out` cannot be used.
     """
     path = Path(path)
+    if is_store(path):
+        raise InputError(f"{path} has today's format already; there is nothing to bring over")
     try:
         group = zarr.open_group(path, mode="r", zarr_format=3)
         config, grid, variables, coords = _described(dict(group.attrs))

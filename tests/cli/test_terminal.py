@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -82,6 +83,35 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path, words, closed):
     said = (done.stdout or b"") + (done.stderr or b"")
     assert b"Traceback" not in said and b"Broken" not in said, said
     assert done.returncode in (0, 2, 141), done.returncode
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a disk that is always full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(("stream", "words"), [("stdout", "--version"), ("stderr", "--no-such")])
+def test_output_on_a_full_disk_is_one_line(tmp_path, stream, words, unbuffered):
+    with Path("/dev/full").open("wb") as full:
+        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}
+        done = subprocess.run(
+            [sys.executable, "-m", "ovibjax", words],
+            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": unbuffered},
+            cwd=tmp_path,
+            timeout=120,
+            **streams,
+        )
+    said = (done.stdout or b"") + (done.stderr or b"")
+    assert b"Traceback" not in said and done.returncode == 2
+    assert stream == "stderr" or said.strip() == b"ovibjax: cannot write the output (No space left on device)"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a shell's way to close streams")
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-"])
+def test_streams_that_were_closed_before_the_start_are_no_error(tmp_path, closed):
+    (tmp_path / "mine.py").write_text("axes = {'x': [1.0]}\n\ndef member(key, point, shared):\n    return {'y': 1.0}\n")
+    command = f"{sys.executable} -m ovibjax sweep run mine.py --out mine.zarr {closed}"
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, shell=True, env=env, cwd=tmp_path, timeout=120, capture_output=True)
+    assert b"Traceback" not in done.stdout + done.stderr and done.returncode == 0
+    assert (tmp_path / "mine.zarr" / "sweep.json").is_file()
 
 
 def test_a_file_is_as_wide_as_its_lines(tmp_path, monkeypatch):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from ovibjax.errors import InputError
-from ovibjax.report.export import write_csv, write_parquet
+from ovibjax.errors import Doubt, InputError
+from ovibjax.report.export import exported, write_csv, write_parquet
 from ovibjax.report.selection import select
 from tests.report.cases import GRID, made_results, zipped
 
@@ -78,3 +78,21 @@ def test_a_parquet_file_that_cannot_be_written(results, tmp_path) -> None:
     pytest.importorskip("pyarrow.parquet")
     with pytest.raises(InputError, match="cannot write there"):
         write_parquet(results, tmp_path / "missing" / "out.parquet")
+
+
+def test_what_a_row_cannot_hold_is_named_and_a_metric_alone_is_chosen(results, tmp_path) -> None:
+    path = tmp_path / "out.csv"
+    data = results.assign(
+        image=((*GRID, "pixel"), np.zeros((3, 4, 5, 7))), good=(tuple(GRID), np.ones((3, 4, 5), bool))
+    )
+    with pytest.warns(
+        Doubt, match=r"out.csv: no rows for params.a.kernel, params.a.bias, bits and 2 more: not numbers"
+    ):
+        assert {"mean_m", "latency", "loss"} == set(exported(data, None, path).data_vars) - {"finished", "diverged"}
+    write_csv(exported(data, "latency", path), path)
+    assert path.read_text().splitlines()[0] == ",".join([*GRID, "latency", "diverged"])
+    for name, message in (("image", "no rows for image"), ("latenzy", "did you mean latency")):
+        with pytest.raises(InputError, match=message):
+            exported(data, name, path)
+    with pytest.raises(InputError, match="no rows for image"):
+        exported(data[["image", "finished", "diverged"]], None, path)

@@ -86,6 +86,7 @@ def test_what_is_no_old_store_is_refused(tmp_path):
     zarr.create_group(tmp_path / "other.zarr", zarr_format=3, attributes={"title": "not ours"})
     damaged = old_store(tmp_path / "damaged.zarr")
     (damaged / "wave" / "zarr.json").unlink()
-    for name in ("new.zarr", "none.zarr", "other.zarr", "damaged.zarr"):
+    assert "has today's format already" in refused(upgrade, tmp_path / "new.zarr", tmp_path / "x.zarr")
+    for name in ("none.zarr", "other.zarr", "damaged.zarr"):
         assert "no store of the format of before, or damaged" in refused(upgrade, tmp_path / name, tmp_path / "x.zarr")
     assert not (tmp_path / "x.zarr").exists()
