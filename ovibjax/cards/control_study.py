@@ -221,20 +221,30 @@ def points_of(preset: ControlPreset) -> tuple[Point, ...]:
     return tuple(dict.fromkeys((*ALWAYS, *(SENSITIVITY if preset.sensitivity else ()))))
 
 
+def in_turn_of_search(points: tuple[Point, ...]) -> list[Point]:
+    """The same settings, those next to one another that differ in their budget alone; see `policy_study.study`."""
+    groups: dict[Point, list[Point]] = {}
+    for point in points:
+        groups.setdefault(point._replace(budget_kb=math.inf), []).append(point)
+    return [point for group in groups.values() for point in group]
+
+
 def _make(
     preset: ControlPreset, first_seed: int, points: tuple[Point, ...], scenes: Mapping[Reading, Scene]
 ) -> ControlStudy:
     scene, readings = scenes[PAPER.reading], list(scenes)
-    envs = [make_environment(scene.context_share, PAPER_PROFILE_KB_PER_S, p.drift_scale, p.model) for p in points]
+    turns = in_turn_of_search(points)
+    envs = [make_environment(scene.context_share, PAPER_PROFILE_KB_PER_S, p.drift_scale, p.model) for p in turns]
     settings = Setting(
         drift=jax.tree.map(lambda *leaves: jnp.stack(leaves), *(env.drift for env in envs)),
-        budget_kb=jnp.array([p.budget_kb for p in points], jnp.float32),
+        budget_kb=jnp.array([p.budget_kb for p in turns], jnp.float32),
         mean_kb_per_s=jnp.stack([env.mean_kb_per_s for env in envs]),
-        place=jnp.array([place_of(readings.index(p.reading), p.protocol) for p in points], jnp.int32),
-        correction=jnp.array([CORRECTIONS.index(p.correction) for p in points], jnp.int32),
-        gate_sigma=jnp.array([p.gate_sigma for p in points], jnp.float32),
+        place=jnp.array([place_of(readings.index(p.reading), p.protocol) for p in turns], jnp.int32),
+        correction=jnp.array([CORRECTIONS.index(p.correction) for p in turns], jnp.int32),
+        gate_sigma=jnp.array([p.gate_sigma for p in turns], jnp.float32),
     )
     outcome = jax.device_get(run_study(list(scenes.values()), settings, preset.size, first_seed))
+    outcome = jax.tree.map(lambda leaf: leaf[[turns.index(point) for point in points]], outcome)
     seeds = [first_seed + i for i in range(preset.size.held_out_seeds)]
     control = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), outcome.control)
     runs = jax.tree.map(lambda leaf: leaf[0], outcome.histories)

@@ -163,5 +163,8 @@ POLICIES: dict[str, Policy] = {
 }
 """Policies by name; the last is no causal policy but a bound."""
 
+FIXED_ACTION = ("periodic", "budgeted_periodic", "fixed_front", "random", "uncertainty")
+"""Those that do not choose among actions."""
+
 VARIANTS = ("voi_gap",)
 """Those that are ours and not the paper's."""

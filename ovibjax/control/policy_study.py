@@ -2,8 +2,9 @@
 
 The search replays VOI-Control for every candidate on every tuning route and seed, see `policy_search`. The winner and
 the paper's fixed rules then run on held-out seeds, under a budget that is also a hard cap. Settings (drift, budget) are
-mapped in turn around all of it, so that a sensitivity study is the same program. Nothing that is swept is baked in:
-other seeds, drift models, prices or budgets compile nothing.
+mapped in turn around all of it, so that a sensitivity study is the same program; where a setting differs from the one
+before it in its budget alone, the search before it stands. Nothing that is swept is baked in: other seeds, drift
+models, prices or budgets compile nothing.
 """
 
 from dataclasses import dataclass
@@ -21,8 +22,9 @@ from ovibjax.control.environment import Draws, Environment, Route, draw
 from ovibjax.control.planning import plan
 from ovibjax.control.policies import POLICIES, as_written
 from ovibjax.control.policy_search import lowest_risk, search, search_variants, take
+from ovibjax.control.replay_sums import sums_by_steps
 from ovibjax.control.route_replay import RouteResult, replay_schedule
-from ovibjax.control.route_summary import Summary, score, summarize
+from ovibjax.control.route_summary import Summary, summarize
 
 SHOWN = ("voi", "budgeted_periodic")
 """Policies whose slots are kept: those that figures draw over time, and whose requests are scheduled."""
@@ -61,6 +63,13 @@ class Setting(NamedTuple):
     place: jax.Array
     correction: jax.Array
     gate_sigma: jax.Array
+
+
+SEARCHED = ("voi", "voi_gap", "uncertainty")
+"""Policies whose numbers are searched."""
+
+Searched = dict[str, Summary]
+"""Results of a search by policy, fields [routes, seeds, candidates]."""
 
 
 class RoutesAndSeeds(NamedTuple):
@@ -124,31 +133,28 @@ def study(
         The outcome.
     """
 
-    def one(setting: Setting) -> Outcome:
+    def one(found: Searched, repeated: tuple[Setting, jax.Array]) -> tuple[Searched, Outcome]:
+        setting, same = repeated
         world = env._replace(drift=setting.drift, mean_kb_per_s=setting.mean_kb_per_s)
         handled = tried._replace(
             correction=jnp.broadcast_to(setting.correction, tried.correction.shape),
             gate_sigma=jnp.broadcast_to(setting.gate_sigma, tried.gate_sigma.shape),
         )
-        budget = jnp.full_like(tried.budget_bytes, 1024.0) * setting.budget_kb
-
         tuned_on, judged_on = jax.tree.map(lambda leaf: leaf[setting.place], (tuning, held_out))
-
-        def of_route(route: Route, keys: jax.Array) -> Draws:
-            return jax.vmap(lambda key: draw(key, route, world, actions))(keys)
-
-        draws = jax.vmap(of_route)(*tuned_on)  # drawn once for the three searches
-        uncapped = handled._replace(budget_bytes=jnp.full_like(tried.budget_bytes, jnp.inf))
-        searched = search_variants(draws, tuned_on.routes, world, uncapped, actions)
-        searched["uncertainty"] = search(draws, tuned_on.routes, world, uncapped, "uncertainty", actions)
-        best = {policy: lowest_risk(result, setting.budget_kb) for policy, result in searched.items()}
-        found = {policy: take(handled._replace(budget_bytes=budget), index) for policy, index in best.items()}
-        control, gap_control = (found[policy]._replace(rules=rules) for policy in ("voi", "voi_gap"))
-        tuned = found["uncertainty"].rules
-        params = ControlParams(world, control)
-        histories, free_kb = compare(params, gap_control, tuned, judged_on, actions)
-        return Outcome(
-            searched["voi"],
+        found = jax.lax.cond(
+            same,
+            lambda tuned_on, world, handled: found,
+            lambda tuned_on, world, handled: search_every(tuned_on, world, handled, actions),
+            *(tuned_on, world, handled),
+        )
+        budget = jnp.full_like(tried.budget_bytes, 1024.0) * setting.budget_kb
+        best = {policy: lowest_risk(result, setting.budget_kb) for policy, result in found.items()}
+        chosen = {policy: take(handled._replace(budget_bytes=budget), index) for policy, index in best.items()}
+        control, gap_control = (chosen[policy]._replace(rules=rules) for policy in ("voi", "voi_gap"))
+        tuned = chosen["uncertainty"].rules
+        histories, free_kb = compare(ControlParams(world, control), gap_control, tuned, judged_on, actions)
+        return found, Outcome(
+            found["voi"],
             best["voi"],
             control,
             gap_control,
@@ -158,7 +164,46 @@ def study(
             {name: histories[name] for name in SHOWN},
         )
 
-    return jax.lax.map(one, settings)
+    shape = (*tuning.keys.shape[1:], *tried.threshold_m.shape)
+    number = jnp.zeros(shape, jnp.float32)
+    nothing = Summary(number, number, number, jnp.zeros(shape, jnp.int32), number)
+    return jax.lax.scan(one, dict.fromkeys(SEARCHED, nothing), (settings, searched_before(settings)))[1]
+
+
+def searched_before(settings: Setting) -> jax.Array:
+    """Whether a setting differs from the one before it in its budget alone, to which a search without a cap is blind.
+
+    Args:
+        settings: [settings] settings.
+
+    Returns:
+        [settings] bool.
+    """
+    kept = jax.tree.leaves(settings._replace(budget_kb=settings.place))
+    same = [jnp.all((leaf[1:] == leaf[:-1]).reshape(len(leaf) - 1, -1), axis=1) for leaf in kept]
+    return jnp.concatenate([jnp.zeros(1, bool), jnp.all(jnp.stack(same), axis=0)])
+
+
+def search_every(tuned_on: RoutesAndSeeds, world: Environment, handled: Controller, actions: ActionSet) -> Searched:
+    """The three searches, on draws made once, without a cap on the payload.
+
+    Args:
+        tuned_on: routes [R, T, ...] and keys [R, S].
+        world: the environment.
+        handled: [C] candidates.
+        actions: the action set (static).
+
+    Returns:
+        Fields [routes, seeds, candidates] by policy.
+    """
+
+    def of_route(route: Route, keys: jax.Array) -> Draws:
+        return jax.vmap(lambda key: draw(key, route, world, actions))(keys)
+
+    draws = jax.vmap(of_route)(*tuned_on)
+    uncapped = handled._replace(budget_bytes=jnp.full_like(handled.budget_bytes, jnp.inf))
+    found = search_variants(draws, tuned_on.routes, world, uncapped, actions)
+    return found | {"uncertainty": search(draws, tuned_on.routes, world, uncapped, "uncertainty", actions)}
 
 
 def compare(
@@ -182,7 +227,9 @@ def compare(
         free = params._replace(control=params.control._replace(budget_bytes=jnp.float32(jnp.inf)))
         return (
             replay_every_policy(draws, route, params, gap_control, tuned, actions),
-            score(draws, route, "voi", free, actions).kb,
+            # A few replays: the program that histories need anyway, rather than the one for thousands.
+            sums_by_steps(draws, route, "voi", jnp.zeros(draws.rate_bps.shape, bool), free, actions).sent_bytes
+            / 1024.0,
         )
 
     return jax.vmap(one)(*held_out)

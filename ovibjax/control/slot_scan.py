@@ -21,7 +21,7 @@ from ovibjax.control.client_step import affordable
 from ovibjax.control.controller import Controller
 from ovibjax.control.drift import Drift
 from ovibjax.control.isotropic_belief import Isotropic, error_m, isotropic, risk_m
-from ovibjax.control.policies import POLICIES, Observation
+from ovibjax.control.policies import FIXED_ACTION, POLICIES, Observation
 from ovibjax.control.slot_table import SlotTable
 from ovibjax.runtime.computed_once import computed_case, computed_once
 from ovibjax.runtime.every_lane import every_lane
@@ -91,7 +91,11 @@ def scan_slots(start: Belief, table: SlotTable, policy: str, params: ControlPara
         client, error, risk, requests = carry
         # The slot before, whose state is at hand as arrays: decisions are not computed again for two sums.
         error, risk = _add(error, risk, client, number - 1, params.env.drift)
-        code, used_j = computed_case(case, _deciders(table, number, policy, params, actions), client)
+        deciders = _deciders(table, number, policy, params, actions)
+        if policy in FIXED_ACTION:  # nothing to compare
+            code, used_j = computed_once(number >= 0, deciders[-1], client)
+        else:
+            code, used_j = computed_case(case, deciders, client)
         requests = requests + (code >= 0).astype(jnp.int32)
         client = _after(client, code, at(table, number), actions)._replace(used_j=used_j)
         return (client, error, risk, requests), _action(code, actions).astype(jnp.int8)

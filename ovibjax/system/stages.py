@@ -11,9 +11,9 @@ from ovibjax.control.calibration import calibrated_risk_m, fit_calibration
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.environment import Route, draw
 from ovibjax.control.predictor import predictor_of_known
+from ovibjax.control.replay_sums import sums_by_steps
 from ovibjax.control.residuals import retrieve
 from ovibjax.control.route_replay import RouteResult, simulate
-from ovibjax.control.route_summary import score
 from ovibjax.edge.retrieval import Match
 from ovibjax.encoder.checkpoint import mix_frames
 from ovibjax.encoder.loss import make_hypers
@@ -107,8 +107,11 @@ def replay_clients(
 
     def one(number: jax.Array, route: Route) -> tuple[RouteResult, jax.Array]:
         draws = draw(jax.random.fold_in(key, number), route, data.env, actions)
-        uncapped = score(draws, route, "voi", ControlParams(data.env, free), actions).kb
-        return simulate(draws, route, static.policy, ControlParams(data.env, data.control), actions), uncapped
+        none = jnp.zeros(draws.rate_bps.shape, bool)
+        # A few replays: the program that histories need anyway, rather than the one for thousands.
+        uncapped = sums_by_steps(draws, route, "voi", none, ControlParams(data.env, free), actions)
+        history = simulate(draws, route, static.policy, ControlParams(data.env, data.control), actions)
+        return history, uncapped.sent_bytes / 1024.0
 
     return jax.vmap(one)(jnp.arange(routes.context.shape[0], dtype=jnp.int32), routes)
 

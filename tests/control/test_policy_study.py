@@ -174,6 +174,28 @@ def test_other_seeds_settings_and_candidates_compile_nothing(found, caplog):
     assert not np.array_equal(outcome.held_out["periodic"].mean_m, before.held_out["periodic"].mean_m)
 
 
+def test_a_search_stands_while_the_budget_alone_changes():
+    same = ("rate", 1.0, 1.7)
+    settings = inputs(0, TUNING, HELD_OUT, [same, ("random_walk", 2.0, 0.6)])[0]
+    rows = [0, 0, 1, 1, 0]
+    settings = jax.tree.map(lambda leaf: leaf[jnp.array(rows)], settings)._replace(budget_kb=jnp.arange(5.0))
+    assert module.searched_before(settings).tolist() == [False, True, False, True, False]
+    other = settings._replace(correction=settings.correction.at[1].set(1))
+    assert module.searched_before(other).tolist() == [False, False, False, True, False]
+
+
+def test_one_search_serves_several_budgets(found):
+    arguments, outcome = found
+    settings = arguments[0]
+    twice = jax.tree.map(lambda leaf: leaf[jnp.array([0, 0])], settings)
+    twice = twice._replace(budget_kb=jnp.array([9.0, settings.budget_kb[0]], jnp.float32))
+    both = jax.device_get(study(twice, *arguments[1:]))
+    assert study._cache_size() == 1
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[1], b[0]), both, outcome)
+    jax.tree.map(lambda leaf: np.testing.assert_array_equal(leaf[0], leaf[1]), both.searched)
+    assert both.control.budget_bytes[0] != both.control.budget_bytes[1]
+
+
 def test_candidates_do_not_depend_on_their_number():
     few, many = candidates(jax.random.key(3), 5, ACTIONS), candidates(jax.random.key(3), 300, ACTIONS)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[:5], rtol=1e-6), few, many)
