@@ -42,8 +42,9 @@ E[1 / D_ddl] = ln((1 + s) / (1 - s)) / (2 s m), which is 1.155 / m and not 1 / m
 
 PHASE_SPREAD_S = 0.61
 """Requests are shifted uniformly within this time. The paper does not give it; at this value the edge p95 of FIFO at
-high congestion comes to the paper's 93 ms on tuning seeds (0.57 s: 105 ms, 0.65 s: 85 ms), and the other rules fall as
-they fall."""
+high congestion comes to the paper's 93 ms on tuning seeds 0 to 29 (0.57 s: 105 ms, 0.65 s: 85 ms), and the other rules
+fall as they fall. It hangs on the one replay that gives the times: the median ones of the first 8, 16, 64 and 100 seeds
+give 89 to 164 ms, more where requests follow in successive slots."""
 
 
 class TraceParams(NamedTuple):
