@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from ovibjax.link.coded_packets import CodedRequest, pack_compact
 from ovibjax.link.codes.rounding import Grid, snapped
-from ovibjax.link.codes.tables import CODES, LEVELS, PSEUDO_COUNT, RANGE_SHARES, STEP
+from ovibjax.link.codes.tables import CODES, LEVELS, PSEUDO_COUNT, RANGE_SHARES, fitted_step
 from ovibjax.link.payload import FLOAT_BYTES, HEADER_BYTES, VIEW_ID_BYTES
 from ovibjax.views import MODES
 
@@ -80,13 +80,17 @@ def even_grid(codes: jax.Array, known: jax.Array, levels: int) -> Grid:
 
 
 def _entropy(codes: jax.Array, known: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Codes on a grid of `STEP`, and the ideal length of their prefixes in whole bytes, by smoothed shares."""
+    """Codes on a grid of the fitted step, and the ideal length of their prefixes in whole bytes, by smoothed shares."""
     latent, places = codes.shape[-1], 2 * _FURTHEST + 1
-    bound = jnp.full(latent, _FURTHEST, jnp.int32)
-    coded = snapped(Grid(jnp.full(latent, STEP, jnp.float32), -bound, bound), codes)
-    number = jnp.rint(coded / STEP).astype(jnp.int32)
     weight = known.astype(jnp.float32)
     total = jnp.sum(weight) * codes.shape[0]
+    counted = weight[None, :, None]
+    mean = jnp.sum(codes * counted, axis=(0, 1)) / total
+    variance = jnp.sum((codes - mean[None, None]) ** 2 * counted, axis=(0, 1)) / total
+    step = jnp.full(latent, 1.0, jnp.float32) * fitted_step(variance, jnp)
+    bound = jnp.full(latent, _FURTHEST, jnp.int32)
+    coded = snapped(Grid(step, -bound, bound), codes)
+    number = jnp.rint(coded / step[None, None]).astype(jnp.int32)
     of_all = jnp.tile(weight, codes.shape[0])
 
     def lengths(of_coordinate: jax.Array) -> jax.Array:

@@ -32,8 +32,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from ovibjax.link.codes.coder import Coder
 from ovibjax.link.codes.rounding import numbers_of
-from ovibjax.link.codes.tables import STEP, fit_table
+from ovibjax.link.codes.tables import fit_table
 
+STEP = 0.5
 PREFIXES, K, TRAINING, FRAMES = (8, 16, 35, 128), 128, 3500, 500
 queue = constriction.stream.queue
 
@@ -64,7 +65,7 @@ def seconds(work: Callable[[], object]) -> float:
 def compare(k: int, repeats: int) -> float:
     """Print sizes and times at one prefix length; returns how many times as long `constriction` takes."""
     training, frames = made_codes(TRAINING, 0), made_codes(FRAMES, 1)[:, :k]
-    coder = Coder("entropy", fit_table("entropy", training))
+    coder = Coder("entropy", fit_table("entropy", training, STEP))
     assert coder.table is not None
     numbers = numbers_of(coder.table.grid, frames).astype(np.int32)
     seen = numbers_of(coder.table.grid, training)[:, :k]

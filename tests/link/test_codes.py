@@ -3,13 +3,14 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ovibjax.link.codes.arithmetic import TOTAL, StreamError, read_symbols, read_whole, write_symbols
 from ovibjax.link.codes.coder import Coder
 from ovibjax.link.codes.rounding import Grid, numbers_of, snapped, values_of
-from ovibjax.link.codes.tables import CODES, CodeTable, check_table, fit_table
+from ovibjax.link.codes.tables import CODES, LOST, CodeTable, check_table, fit_table, fitted_step
 from tests.oracles import codes as oracle
 
 K = 24
@@ -121,7 +122,7 @@ def test_values_are_the_nearest_places_of_the_grid_on_host_and_device_bit_by_bit
 
 def test_whatever_order_a_robot_sums_in_the_edge_reads_what_it_sent():
     """Two robots whose float32 sums differ may send neighbours; the edge reads either exactly, without deciding."""
-    coder = coder_of("entropy")
+    coder = Coder("entropy", fit_table("entropy", training(), 0.5))
     rng = np.random.default_rng(6)
     weights, x = rng.normal(size=(64, K)).astype(np.float32), rng.normal(size=(300, 64)).astype(np.float32)
     orders = [np.arange(64), np.arange(64)[::-1], rng.permutation(64)]
@@ -185,6 +186,21 @@ def test_a_damaged_table_is_refused(message):
     check_table(damaged())
     with pytest.raises(ValueError, match=message):
         Coder("entropy", damaged(**DAMAGE[message]))
+
+
+def test_a_fitted_step_costs_the_share_of_the_variance_that_it_may():
+    rng = np.random.default_rng(7)
+    for size in (1, 5, 60):
+        variance = rng.exponential(size=size) ** 4 + 1e-6
+        step = float(fitted_step(variance, np))
+        lost = np.minimum(step**2 / 12, variance).sum() / variance.sum()
+        assert lost == pytest.approx(LOST, rel=1e-6)
+        assert float(fitted_step(jnp.asarray(variance, jnp.float32), jnp)) == pytest.approx(step, rel=1e-3)
+    assert fitted_step(np.zeros(4), np) == 1.0
+    codes = rng.normal(size=(4000, 1)).astype(np.float32)
+    coder = Coder("entropy", fit_table("entropy", codes))
+    received = np.stack([coder.decode(coder.encode(code), 1) for code in codes])
+    assert np.mean((received - codes) ** 2) / codes.var() == pytest.approx(LOST, rel=0.1)
 
 
 def test_what_cannot_be_fitted_is_refused():

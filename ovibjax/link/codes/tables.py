@@ -4,21 +4,22 @@ All decisions that involve floats are made here, once; what is stored are whole 
 into files as plain arrays.
 """
 
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 
 from ovibjax.link.codes.arithmetic import TOTAL
-from ovibjax.link.codes.rounding import Grid, numbers_of, values_of
+from ovibjax.link.codes.rounding import Array, Grid, numbers_of, values_of
 
 CODES = ("float32", "int8", "int4", "entropy")
 """How coordinates are written: as they are, in a byte or half a byte each, or by an arithmetic coder."""
 
 LEVELS = {"int8": 256, "int4": 16}
 
-STEP = 0.5
-"""Step of `entropy` unless one is given, in the units of the code, in which all features together have the variance 1
-per coordinate: at prefixes of 24 and more it costs no accuracy on tuning seeds."""
+LOST = 0.0088
+"""Share of the variance of a code that its rounding for `entropy` may cost, unless a step is given: that of steps of
+0.5 on tuning seeds of the town, which cost no accuracy there at prefixes of 24 and more."""
 
 PSEUDO_COUNT = 16.0
 """Training codes that the smooth guess of shares counts for against what was seen."""
@@ -43,13 +44,14 @@ class CodeTable(NamedTuple):
     cumulative: np.ndarray
 
 
-def fit_table(code: str, codes: np.ndarray, step: np.ndarray | float = STEP) -> CodeTable | None:
+def fit_table(code: str, codes: np.ndarray, step: np.ndarray | float | None = None) -> CodeTable | None:
     """Fit what a code needs on training codes.
 
     Args:
         code: one of `CODES`.
         codes: [N, K] training codes, finite.
-        step: for `entropy`: the step, one or [K]; those of `int8` and `int4` follow from the codes.
+        step: for `entropy`: the step, one or [K]; by default `fitted_step`. Those of `int8` and `int4` follow from the
+            codes.
 
     Returns:
         The table; None for `float32`.
@@ -65,8 +67,29 @@ def fit_table(code: str, codes: np.ndarray, step: np.ndarray | float = STEP) -> 
     if code == "float32":
         return None
     if code == "entropy":
-        return _frequencies(codes, np.broadcast_to(np.float32(step), codes.shape[1:]))
+        chosen = fitted_step(np.var(codes.astype(np.float64), axis=0), np) if step is None else step
+        return _frequencies(codes, np.broadcast_to(np.asarray(chosen, np.float32), codes.shape[1:]))
     return CodeTable(_even_grid(codes, LEVELS[code]), np.zeros((codes.shape[1], 0), np.int32))
+
+
+def fitted_step(variance: Array, xp: ModuleType) -> Array:
+    """The one step that costs the share `LOST` of the variance of codes.
+
+    A coordinate loses a twelfth of the squared step, or all of its variance where that is less.
+
+    Args:
+        variance: [K] of the coordinates.
+        xp: NumPy or `jax.numpy`.
+
+    Returns:
+        The step, a scalar; 1 where nothing varies.
+    """
+    ascending = xp.sort(variance)
+    below = xp.cumsum(ascending) - ascending
+    # What each of the others may lose if the m least variable coordinates lose everything; the first m that fits.
+    left = (LOST * xp.sum(ascending) - below) / np.arange(len(variance), 0, -1).astype(np.float32)
+    square = 12 * left[xp.argmax(ascending >= left)]
+    return xp.where(square > 0, xp.sqrt(xp.maximum(square, 1e-30)), 1.0)
 
 
 def check_table(table: CodeTable) -> None:
