@@ -7,6 +7,7 @@ import numpy as np
 
 from ovibjax.cards.bytes_results import bytes_claims, draw_code_bytes, draw_coordinates, draw_gains, draw_packets
 from ovibjax.cards.bytes_study import BytesSize, Row, measure
+from ovibjax.cards.bytes_system import CodedSystemSize, measure_system, system_claims, system_rows
 from ovibjax.cards.job import Job
 from ovibjax.encoder.loss import BETA
 from ovibjax.encoder.model import Architecture
@@ -18,6 +19,7 @@ from ovibjax.link.codes.tables import fit_table
 from ovibjax.report import panels
 from ovibjax.report.claims import write_claims
 from ovibjax.report.rows import write_rows
+from ovibjax.system.data import SystemSize
 
 TITLE = "Bits, not floats"
 
@@ -25,6 +27,12 @@ PRESETS = {
     "smoke": BytesSize(2, 60, (1e-3,), (BETA,), (0.5,)),
     "quick": BytesSize(3, None, (1e-3, 3e-3), (BETA,), (0.5, 1.0, 1.5)),
     "full": BytesSize(5, 4000, (5e-4, 1e-3, 2e-3, 4e-3), (1e-4, BETA, 1e-2), (0.5, 1.0, 1.5, 2.5)),
+}
+
+SYSTEM = {
+    "smoke": CodedSystemSize(2, "smoke", SystemSize(20, 256, clients=2, fleet=4)),
+    "quick": CodedSystemSize(3, "full", SystemSize()),
+    "full": CodedSystemSize(20, "full", SystemSize()),
 }
 
 PANELS = {
@@ -47,7 +55,12 @@ def run(job: Job) -> None:
     with job.stage("time"):
         coding_us = coding_times_us(members[0])
     write_rows(job.out / "table.csv", [table_row(row) for row in found.rows])
-    write_claims(job.out / "claims.json", bytes_claims(found, coding_us, job.embedded))
+    claims = bytes_claims(found, coding_us, job.embedded)
+    if job.embedded:  # routes are driven through the embedded scene
+        system = measure_system(job, SYSTEM[job.preset])
+        write_rows(job.out / "system.csv", system_rows(system))
+        claims += system_claims(system)
+    write_claims(job.out / "claims.json", claims)
     with job.stage("draw"):
         panels.draw_panels(job.out / "figure.png", found, PANELS, 2, height_in=2.5)
     job.record(*(TITLE, caption(size), seeds, started), coding_us=coding_us)
@@ -83,5 +96,5 @@ def caption(size: BytesSize) -> str:
         "length of each coordinate; solid: the paper's rate term by its weight β, step 0.5; dashed: trained for bits, "
         "by the price λ of a bit. (d) Paired differences. Steps and tables are fitted on training codes. PCA and "
         "product quantisation are judged with O-VIB's localizer; the database holds uncompressed descriptors. "
-        f"{size.seeds} seeds; every view."
+        f"{size.seeds} seeds; every view. system.csv: routes and edge by code, coded prefixes under a compact header."
     )

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from ovibjax.cards.job import PRESETS
 
 REFERENCE_S: dict[str, tuple[float, float, float]] = {
-    "bytes": (40.0, 160.0, 600.0),
+    "bytes": (100.0, 200.0, 700.0),
     "encoder_ablation": (20.0, 190.0, 391.0),
     "multi_client": (45.0, 45.0, 85.0),
     "real_scene": (41.0, 41.0, 59.0),

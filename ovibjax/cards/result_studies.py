@@ -209,6 +209,16 @@ TABLES: dict[str, TableStudy] = {
         },
         labels=_AXES | _METHODS | {"bits": "trained for bits", "pq": "product quantisation", "setting": "β or λ"},
     ),
+    "bytes/system.csv": TableStudy(
+        "coded_system",
+        "Real bytes: routes and edge by code",
+        ("code", "k"),
+        {"mean_route_m": "route error, mean (m)", "requests": "requests", "kb": "sent (KB)"}
+        | {"residual_m": "error of answers (m)", "edge_p95_ms_fifo": "edge p95, FIFO, top decile (ms)"}
+        | {"edge_p95_ms_voi_lyapunov": "edge p95, VOI-Lyapunov, top decile (ms)"},
+        start={"x": "k", "lines": "code"},
+        labels=_AXES,
+    ),
 }
 """How each table is explored, by its file."""
 
