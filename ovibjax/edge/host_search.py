@@ -67,10 +67,11 @@ def search_on_host(query: NDArray[np.floating], index: ClusterIndex, k: int, pro
     parts = max(-(-len(unit) // at_once), 1)
     if len(unit) >= 2 * _WORTH_A_THREAD:  # how many cores there are takes longer to find out than a query
         parts = max(parts, min(cores(), len(unit) // _WORTH_A_THREAD))
-    if parts == 1:
-        return _search(unit, tables, k, probes)
-    pieces = np.array_split(unit, parts)
+    # On a busy machine one query would wait for BLAS's other threads a hundred times as long as its product takes.
     with quick_one_blas_thread:
+        if parts == 1:
+            return _search(unit, tables, k, probes)
+        pieces = np.array_split(unit, parts)
         found = list(in_order(lambda piece: _search(piece, tables, k, probes), pieces, cores()))
     return np.concatenate([row for row, _ in found]), np.concatenate([similarity for _, similarity in found])
 
