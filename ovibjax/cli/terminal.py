@@ -2,6 +2,7 @@
 
 import codecs
 import errno
+import logging
 import os
 import sys
 import warnings
@@ -51,6 +52,7 @@ def civil() -> Iterator[None]:
     Raises:
         SystemExit: standard output or error was closed by its reader, or its disk is full.
     """
+    logging.getLogger("matplotlib").addFilter(_is_news)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="ovibjax.plain")
@@ -76,6 +78,11 @@ def civil() -> Iterator[None]:
         with suppress(OSError):  # standard error may be the one
             print(f"ovibjax: {where}cannot write the output ({error.strerror or error})", file=sys.stderr)
         sys.exit(2)
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """Whether a message of matplotlib tells more than that its cache goes to a temporary folder."""
+    return not any(words in record.getMessage() for words in ("mkdir -p failed", "a temporary cache directory"))
 
 
 def _flushes(stream: TextIO) -> bool:

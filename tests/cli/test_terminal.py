@@ -159,3 +159,12 @@ def test_doubts_are_lines_and_other_warnings_python_s(capsys):
 def test_errors_of_a_command_pass_through():
     with pytest.raises(InputError), civil():
         raise InputError("x")
+
+
+def test_a_home_that_cannot_be_written_is_no_news_of_matplotlib(tmp_path):
+    (tmp_path / "file").touch()  # what no folder can be made in, whoever asks
+    draw = "from ovibjax.cli.terminal import civil\nwith civil():\n    import matplotlib; matplotlib.get_cachedir()"
+    env = {name: value for name, value in os.environ.items() if name not in ("MPLCONFIGDIR", "XDG_CACHE_HOME")}
+    env |= {"HOME": str(tmp_path / "file"), "XDG_CONFIG_HOME": str(tmp_path / "file"), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", draw], env=env, timeout=120, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == ""
