@@ -11,8 +11,8 @@ no client changes computed before it, as ours has it. Python is the tests' NumPy
 `ratio_today` and the last line are against the first Numba loop, `ratio_hoisted` against the second, `processor_ratio`
 against the first by processor time, for machines on which other things run.
 
-What was tried for speed, nanoseconds of processor per slot-decision, 2,048 lanes on one core with AVX-512 (EPYC), by
-turns beside other work; the Numba loop takes 5.4 there:
+What was tried for speed, nanoseconds of processor per slot-decision, 2,048 lanes in a process of one core with AVX-512
+(EPYC), by turns beside other work, so good to a tenth; one thread of the first Numba loop took 5.4 there:
 
     a step of `client_step` per slot, D(s) by a power, actions by net value   26
     D(s) as a product, actions by the risk above which they are worth it      13.8  kept
@@ -22,14 +22,16 @@ turns beside other work; the Numba loop takes 5.4 there:
     transmission times in the table, not divisions in each slot                5.3  kept
     no comparisons with an energy or an availability that all lanes lack       4.4  kept; a real branch for all lanes
     none with a payload budget either                                          3.8  kept, for searches
-    slots of the table read where they are used; energy in that branch         4.2  kept
+    slots of the table read where they are used; energy in that branch         4.1  kept
     vectors of 512 bits (xla_cpu_prefer_vector_width)                          3.3  not kept: an option of the compiler
     state as rows of few arrays, lanes last                                    8.3  rows picked from what is fused are
                                                                                     not vectorized; a loop costs 50 ns
     decision in two loops, fewer constants in each                             4.5  no gain
 
-Of these a third is the decision, the rest some sixteen loops over one array each, which read and write what a scalar
-loop keeps in registers. Before this, on another machine with AVX2, the ratio was 0.77.
+A third of the time is the decision, the rest some sixteen loops over one array each, which read and write what a scalar
+loop keeps in registers. XLA deals the loops of a slot to the threads of its pool: with two threads the same program
+takes 9.2 ns of processor on one device (NPROC=1 in the environment: 4.1), and 5 to 8 on two devices, less the more
+lanes there are. The goal of three times the first Numba loop is not reached.
 """
 
 import argparse
