@@ -106,8 +106,9 @@ def _values(name: str, typed: str, known: list[Any]) -> list[Any]:
     """Values of an axis as typed, of the kind that the file's are."""
     import numpy as np
 
-    # A name may hold a comma.
-    items = [typed] if typed in known else typed.split(",")
+    from ovibjax.report.labels import items_of
+
+    items = items_of(typed, [str(value) for value in known])
     kind = np.asarray(known).dtype.kind
     if kind == "U":
         for item in items:

@@ -119,6 +119,26 @@ def matches(values: np.ndarray, text: str) -> np.ndarray:
         return np.zeros(len(values), bool)
 
 
+def items_of(text: str, names: Iterable[str]) -> list[str]:
+    """The values of a list with commas; where names hold commas themselves, the longest that fits is meant.
+
+    Args:
+        text: what was typed.
+        names: values that are names.
+
+    Returns:
+        Values; an unknown one ends at the next comma.
+    """
+    parts, items, known = text.split(","), [], set(names)
+    most = max((name.count(",") + 1 for name in known), default=1)
+    while parts:
+        ends = (end for end in range(min(most, len(parts)), 0, -1) if ",".join(parts[:end]) in known)
+        end = next(ends, 1)
+        items.append(",".join(parts[:end]))
+        del parts[:end]
+    return items
+
+
 def find(name: str, choices: Sequence[str] | dict[str, str], what: str) -> str:
     """The name itself, or an `InputError` that suggests a close one."""
     if name not in choices:

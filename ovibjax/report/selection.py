@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ovibjax.errors import InputError
-from ovibjax.report.labels import axes_of, find, grid_dims, listing, matches, same_number
+from ovibjax.report.labels import axes_of, find, grid_dims, items_of, listing, matches, same_number, text_of
 from ovibjax.runtime.plain_numbers import plain_float
 
 _ORDER: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
@@ -89,10 +89,8 @@ def _ordered(entry: str, values: np.ndarray, sign: str, wanted: str) -> np.ndarr
 
 def _listed(entry: str, axis: str, values: np.ndarray, wanted: str) -> np.ndarray:
     """Where an axis has one of the values in a list."""
-    # A name may hold a comma.
-    parts = [wanted] if matches(values, wanted).any() else wanted.split(",")
     keep = np.zeros(len(values), bool)
-    for part in parts:
+    for part in items_of(wanted, map(text_of, values)):
         match = matches(values, part)
         if not match.any():
             raise InputError(f"--where {entry}: {axis} has no value {part!r}; it has {listing(values)}")

@@ -109,6 +109,9 @@ def test_values_are_read_as_the_files_are(folder):
     asked = asked_axes(("x=0.33333334,7", "n=-2:1,5", "flag=False,1", "name=a,b"), file)
     values = {name: list(axis.values) for name, axis in asked.items()}
     assert values == {"x": [1 / 3, 7.0], "n": [-2, -1, 0, 5], "flag": [False, True], "name": ["a,b"]}
+    assert list(asked_axes(("name=c,a,b",), file)["name"].values) == ["c", "a,b"]
+    with pytest.raises(InputError, match="name=a: no such name"):
+        asked_axes(("name=a,c",), file)
     with pytest.raises(InputError, match="values of n are given twice"):
         asked_axes(("n=1", "n=2"), file)
 

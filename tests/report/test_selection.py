@@ -81,6 +81,14 @@ def test_select_says_what_there_is(results, where: str, message: str) -> None:
         select(results, [where])
 
 
+def test_names_may_hold_commas(results) -> None:
+    named = results.isel(seed=slice(0, 3)).assign_coords(seed=["a", "a,b", "c,d"])
+    for wanted, kept in (("a,b", ["a,b"]), ("a,c,d", ["a", "c,d"]), ("c,d,a,b", ["a,b", "c,d"])):
+        assert select(named, [f"seed={wanted}"]).seed.values.tolist() == kept
+    with pytest.raises(InputError, match="seed has no value 'c'"):
+        select(named, ["seed=a,c"])
+
+
 def test_names_have_no_order(results) -> None:
     named = results.assign_coords(beta=["mono", "stereo", "ring"])
     with pytest.raises(InputError, match=r"--where beta>=mono: its values are names \(mono, stereo, ring\)"):
