@@ -52,7 +52,7 @@ def _intervals(path: Path, text: str) -> list[dict[str, Any]]:
     except (ValueError, RecursionError) as error:
         raise refusal(path, "JSON that cannot be read") from error
     intervals = told.get("intervals") if isinstance(told, dict) else None
-    if not isinstance(intervals, list) or not all(isinstance(one, dict) for one in intervals):
+    if not isinstance(intervals, list) or not intervals or not all(isinstance(one, dict) for one in intervals):
         why = told.get("error") if isinstance(told, dict) else None
         raise refusal(path, f"JSON without the intervals of iperf3 --json{f' ({why})' if why else ''}")
     return intervals

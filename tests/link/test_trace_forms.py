@@ -193,6 +193,11 @@ def test_json_that_is_no_iperf3(path, text):
     refused(path, text)
 
 
+def test_what_went_wrong_in_iperf3_is_quoted(path):
+    failed = '{"start": {}, "intervals": [], "end": {}, "error": "unable to connect to server"}'
+    assert "unable to connect to server" in refused(path, failed)
+
+
 @pytest.mark.parametrize(
     ("text", "option", "settled"),
     [
