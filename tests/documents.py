@@ -28,8 +28,10 @@ def claims(card: str) -> list[dict]:
 
 
 def claim(card: str, start: str) -> dict:
-    """The one claim of a card whose statement begins so."""
-    found = [one for one in claims(card) if one["statement"].startswith(start)]
+    """The one claim of a card with this statement, or else the one whose statement begins so."""
+    every = claims(card)
+    found = [one for one in every if one["statement"] == start]
+    found = found or [one for one in every if one["statement"].startswith(start)]
     if len(found) != 1:
         raise LookupError(f"{card}: {len(found)} claims begin with {start!r}")
     return found[0]

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ovibjax.cards.bytes_study import KS, BytesRuns, Chosen, Row, best_within, one_price
+from ovibjax.cards.bytes_choice import Chosen, best_within, one_price
+from ovibjax.cards.bytes_study import KS, BytesRuns, Row
 from ovibjax.encoder.loss import BETA
 from ovibjax.report import figures as fig
 from ovibjax.report.claims import Claim, interval

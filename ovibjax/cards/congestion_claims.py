@@ -39,7 +39,7 @@ def judge_claims(found: Congestion) -> list[Claim]:
             rule=PAIRED,
         ),
         Claim.at_least(
-            f"It cuts it by at least {LEAST_CUT:g} %",
+            f"Top decile at high congestion: VOI-Lyapunov cuts the edge p95 of Base-DPP by at least {LEAST_CUT:g} %",
             "76.2 %",
             interval(percent).text("%", 1),
             LEAST_CUT,
@@ -47,7 +47,7 @@ def judge_claims(found: Congestion) -> list[Claim]:
             rule=f"whole paired 95 % interval at or above {LEAST_CUT:g} %, ties to the lowest client (threshold ours)",
         ),
         Claim.above_zero(
-            "The same where every mission is equally urgent: what the value of information does alone",
+            "Top decile at high congestion, every mission equally urgent: VOI-Lyapunov cuts the edge p95 of Base-DPP",
             "-",
             interval(alike).text("%", 1),
             alike,
@@ -74,14 +74,15 @@ def _own_times(found: Congestion) -> Claim:
 
 
 def _differ(found: Congestion) -> Claim:
-    edge_ms = {rule: found.at(rule, "all", "edge_p95_ms") for rule in ("base_dpp", "maxweight", "fifo")}
+    edge_ms = {rule: found.at(rule, "top10", "edge_p95_ms") for rule in ("base_dpp", "maxweight", "fifo")}
     texts = [f"{NAMES[rule]} {interval(values).text('ms', 1)}" for rule, values in edge_ms.items()]
-    return Claim.true(
-        "All requests at high congestion: Base-DPP, MaxWeight and FIFO differ",
-        " / ".join(f"{PAPER_ALL_EDGE_MS[rule]}" for rule in edge_ms) + " ms",
+    gaps_ms = [edge_ms[a] - edge_ms[b] for a, b in itertools.combinations(edge_ms, 2)]
+    return Claim.above_zero(
+        "Top decile at high congestion: Base-DPP, MaxWeight and FIFO differ",
+        "137.7 / 142.4 ms, FIFO not given",
         ", ".join(texts),
-        not any(np.array_equal(edge_ms[a], edge_ms[b]) for a, b in itertools.combinations(edge_ms, 2)),
-        "edge p95 not equal on every seed, for each two of them",
+        *(gap * np.sign(np.mean(gap)) for gap in gaps_ms),
+        rule="paired 95 % interval of the difference of each two without zero",
     )
 
 

@@ -138,16 +138,15 @@ def request_with(
     Returns:
         The request.
     """
-    every = range(len(actions))
     size = chosen([jnp.float32(b) for b in actions.payload_bytes], action)
     predicted_m, delay_s, energy_j, residual_m, rest_s, fix_risk_m = (
-        chosen([values[a] for a in every], action)
+        chosen(values, action)
         for values in (
             *(slot.predicted_m, slot.delay_s, params.control.energy_j),
             *(seen.realised_m, slot.latency_s, slot.risk_m),
         )
     )
-    residual_x_m, residual_y_m = (chosen([slot.residual_m[a, axis] for a in every], action) for axis in (0, 1))
+    residual_x_m, residual_y_m = (chosen(slot.residual_m[:, axis], action) for axis in (0, 1))
     fix = Fix(residual_x_m, residual_y_m, fix_risk_m, slot.odometry.toward_x, slot.odometry.toward_y)
     value_m = net_voi(risk_m, predicted_m, size, slot.rate_bps, delay_s, energy_j, params.control.prices)
     latency_s = transmit_s(size, slot.rate_bps) + rest_s

@@ -21,7 +21,7 @@ from ovibjax.control.client_step import affordable
 from ovibjax.control.controller import Controller
 from ovibjax.control.drift import Drift
 from ovibjax.control.isotropic_belief import Isotropic, error_m, isotropic, risk_m
-from ovibjax.control.policies import FIXED_ACTION, POLICIES, Observation
+from ovibjax.control.policies import FIXED_ACTION, POLICIES, Observation, chosen
 from ovibjax.control.slot_table import SlotTable
 from ovibjax.runtime.computed_once import computed_case, computed_once
 from ovibjax.runtime.every_lane import every_lane
@@ -164,7 +164,7 @@ def _deciders(table: SlotTable, number: jax.Array, policy: str, params: ControlP
             return decide(client, control, affordable(client.sent_bytes, client.used_j, control, actions, budgeted))
 
         code = computed_once(number >= 0, by_both, client)
-        energy_j = pick(control.energy_j, jnp.maximum(_action(code, actions), 0), count)
+        energy_j = chosen(control.energy_j, jnp.maximum(_action(code, actions), 0))
         return code, client.used_j + jnp.where(code >= 0, energy_j, 0.0)
 
     def by_payload(client: Client) -> tuple[jax.Array, jax.Array]:
@@ -201,7 +201,7 @@ def _decide(
         allowed=allowed,
     )
     decision = POLICIES[policy](seen, control, actions)
-    trip, fix_risk_m = (pick(values, decision.action, len(actions)) for values in (slot.trip, slot.fix_risk_m))
+    trip, fix_risk_m = (chosen(values, decision.action) for values in (slot.trip, slot.fix_risk_m))
     taken = (fix_risk_m < seen.risk_m) | (control.correction != CORRECTIONS.index("replace"))
     used = (trip & 1) & taken.astype(jnp.int32)
     return jnp.where(decision.send, decision.action + (((trip & ~1) + used) << _bits(actions)), -1)
@@ -209,17 +209,16 @@ def _decide(
 
 def _after(client: Client, code: jax.Array, slot: SlotTable, actions: ActionSet) -> Client:
     """A client at the end of a slot in which it did what a code says; the energy is not counted here."""
-    count = len(actions)
     send, action, trip = code >= 0, jnp.maximum(_action(code, actions), 0), code >> _bits(actions)
     used = send & (trip & 1 == 1)
     arrives = slot.number + (trip >> 1)
     fix = Isotropic(
-        pick(slot.fixed.fixed_m2, action, count),
-        pick(slot.fixed.error_a, action, count),
+        chosen(slot.fixed.fixed_m2, action),
+        chosen(slot.fixed.error_a, action),
         jnp.zeros_like(client.pending.accumulated_m),
-        pick(slot.fixed.error_b, action, count),
+        chosen(slot.fixed.error_b, action),
     )
-    paid = pick([jnp.float32(b) for b in actions.payload_bytes], action, count)
+    paid = chosen([jnp.float32(b) for b in actions.payload_bytes], action)
     return Client(
         belief=jax.tree.map(jnp.add, _current(client, slot.number), slot.drifted),
         pending=jax.tree.map(lambda f, p, d: jnp.where(used, f, p + d), fix, client.pending, slot.drifted),
@@ -239,14 +238,3 @@ def _bits(actions: ActionSet) -> int:
 def _action(code: jax.Array, actions: ActionSet) -> jax.Array:
     """The action of a code; -1 for none."""
     return jnp.where(code < 0, -1, code & ((1 << _bits(actions)) - 1))
-
-
-def pick(values: Any, action: jax.Array, count: int) -> jax.Array:
-    """The entry of a list at a traced place, by the bits of the place: half the work of comparing it with each."""
-    left, place = [values[a] for a in range(count)], action
-    while len(left) > 1:
-        odd = place & 1 == 1
-        pairs, alone = zip(left[::2], left[1::2], strict=False), left[len(left) & ~1 :]
-        left = [*(jnp.where(odd, second, first) for first, second in pairs), *alone]
-        place = place >> 1
-    return jnp.asarray(left[0])

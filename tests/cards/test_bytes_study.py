@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from ovibjax.cards.bytes_choice import best_within, one_price
 from ovibjax.cards.bytes_results import BUDGETS, GOALS_M, bytes_claims, chosen
-from ovibjax.cards.bytes_study import KS, BytesRuns, best_within, bits_of, one_price, overheads_bytes
+from ovibjax.cards.bytes_study import KS, BytesRuns, bits_of, overheads_bytes
 from ovibjax.encoder.loss import BETA
 from ovibjax.link.coded_packets import CodedRequest, pack_coded, pack_compact
 from ovibjax.link.codes.coder import Coder
