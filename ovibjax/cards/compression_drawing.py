@@ -213,7 +213,7 @@ def _draw_latency(ax: Axes, results: Results, frontier: Frontier | None) -> None
             text = f"{total:.0f} ms" if total < 1000 else f"{total / 1000:.2f} s"
             paper_ms = rows[i].paper_ms or 0.0
             # Beside the bar, or beside the paper's tick where that is as near as the text would be.
-            end = paper_ms if total < paper_ms < 4.5 * total else total
+            end = paper_ms if total < paper_ms < 5.5 * total else total
             # A paper's tick inside the bar's end would touch the text as well: a distance in points, not a factor.
             clear = max(end, paper_ms) if abs(np.log(max(paper_ms, 1e-3) / end)) < 0.15 else end
             ax.annotate(text, (clear, i), (5, 0), textcoords="offset points", va="center", fontsize=6.5)

@@ -8,6 +8,17 @@ each number that is asked for (`--lists`, in square roots of N), each is searche
 recall on tuning queries, and the quickest of them is the peer; ours keeps the fewest blocks that do. Times are those of
 other queries, in one batch and one by one from Python, by turns, the best of the repetitions. The last line is the
 ratio to `IndexIVFFlat` in one batch.
+
+2 virtual cores (AMD EPYC with AVX-512), quiet, Python 3.11, jax 0.10.2, faiss 1.15.1; microseconds a query in a batch of
+400, and asked alone:
+
+    N = 5,000      IndexFlatIP   22.2   109   best lists    4.6    16   clusters   13.4   132   recall 98.2 / 98.0 %
+    N = 100,000    IndexFlatIP    508  9452   best lists   35.1    79   clusters   35.5   180   recall 98.5 / 99.0 %
+    N = 1,000,000  IndexFlatIP   4504 91913   best lists    180   328   clusters   97.4   331   recall 98.8 / 99.2 %
+    ratio: 0.99 at 100,000, 1.85 at 1,000,000
+
+Built in 2.4 and 27 s (lists in 5.7 and 69 s), 233 and 2,291 MB (208 and 2,064). On a busy machine it came to 1.6 to 1.9
+at 100,000, as FAISS's threads wait for each other. One query at 5,000 is below 0.2 ms, and slower than FAISS's.
 """
 
 import argparse
