@@ -1,5 +1,6 @@
 """What bytes buy: claims and panels of the study of real bytes."""
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -192,10 +193,11 @@ def draw_packets(ax: Axes, found: BytesRuns) -> None:
 def draw_coordinates(ax: Axes, found: BytesRuns) -> None:
     """Bits of each coordinate."""
     lines = {"ovib": "-", "bits": "--"}
-    for (method, setting), bits in found.per_coordinate.items():
-        if method in lines:
-            name = f"{'β' if method == 'ovib' else 'λ'} = {setting:g}"
-            ax.plot(np.arange(1, len(bits) + 1), bits, lines[method], lw=1, label=name)
+    shown = [(*named, bits) for named, bits in found.per_coordinate.items() if named[0] in lines]
+    colours = itertools.cycle((fig.BLUE, fig.ORANGE, fig.GREEN, fig.PURPLE, fig.SKY))
+    for (method, setting, bits), colour in zip(shown, colours, strict=False):
+        name = f"{'β' if method == 'ovib' else 'λ'} = {setting:g}"
+        ax.plot(np.arange(1, len(bits) + 1), bits, lines[method], lw=1, color=colour, label=name)
     ax.set_xlabel("coordinate")
     ax.set_ylabel("bits")
     ax.legend(ncols=2)
@@ -213,6 +215,7 @@ def draw_gains(ax: Axes, found: BytesRuns) -> None:
             fig.band(ax, np.array([b for b, _ in kept]), np.stack([gain for _, gain in kept], axis=1), colour, label)
     ax.axhline(0.0, color=fig.GREY, lw=0.8)
     ax.set_yscale("symlog", linthresh=1.0)
+    ax.yaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("code at most (bytes)")
     ax.set_ylabel("PCA's error minus ours (m)")
     ax.legend()

@@ -9,8 +9,8 @@ recall on tuning queries, and the quickest of them is the peer; ours keeps the f
 other queries, in one batch and one by one from Python, by turns, the best of the repetitions. The last line is the
 ratio to `IndexIVFFlat` in one batch.
 
-2 virtual cores (AMD EPYC with AVX-512), quiet, Python 3.11, jax 0.10.2, faiss 1.15.1; microseconds a query in a batch of
-400, and asked alone:
+2 virtual cores (AMD EPYC with AVX-512), quiet, Python 3.11, jax 0.10.2, faiss 1.15.1; microseconds a query in a batch
+of 400, and asked alone:
 
     N = 5,000      IndexFlatIP   22.2   109   best lists    4.6    16   clusters   13.4   132   recall 98.2 / 98.0 %
     N = 100,000    IndexFlatIP    508  9452   best lists   35.1    79   clusters   35.5   180   recall 98.5 / 99.0 %

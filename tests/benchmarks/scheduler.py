@@ -16,8 +16,8 @@ python tests/benchmarks/scheduler.py              (extra [bench]; a quiet machin
     ratio: 2.40
 
 The goals of 1,000 against SimPy and of 2 against Numba under the shaped rule are met, that of 1 under FIFO is not. The
-two sides of FIFO do not do the same: Numba is given traces that are sorted and counted in ticks already, ours sorts them
-and calls a program for 5,280 requests in all. With 2,048 traces it is 20 million a second, of which sorting takes half.
+two sides of FIFO do not do the same: Numba is given traces that are sorted and counted in ticks already, ours sorts
+them and calls a program for 5,280 requests in all. With 2,048 traces it comes to 20 million a second.
 Replays that differ hold two requests of priorities that are equal but for a rounding; more than one in a thousand of
 them is an error.
 """
