@@ -8,6 +8,7 @@ of all uncompressed test frames: a frame that is lost without any coding no long
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +19,7 @@ from ovibjax.cards.codec_timing import encode_times_ms, town_pictures
 from ovibjax.cards.compression_methods import Outcome, architecture_of, judge_raw_jit, prefixes_of
 from ovibjax.cards.job import Job
 from ovibjax.edge.judging import Trained
+from ovibjax.encoder.model import Params
 from ovibjax.encoder.training_data import MemberData
 from ovibjax.features.basis import ViewBasis, project
 from ovibjax.features.frames import FeatureSet
@@ -44,6 +46,20 @@ class CodecPlan:
 
     frames: int
     rungs: tuple[Rung, ...]
+
+
+class Frozen(NamedTuple):
+    """The localizer that codecs are judged by, on one seed, and what it reaches without them.
+
+    Attributes:
+        params: the trained network.
+        raw_m: [T] errors of the uncompressed test frames.
+        ovib_m: mean test error of O-VIB at k = `RIVAL_K`.
+    """
+
+    params: Params
+    raw_m: NDArray[np.float32]
+    ovib_m: float
 
 
 def _rungs(step: slice) -> tuple[tuple[str, int], ...]:
@@ -74,17 +90,12 @@ def code_and_judge(
         return None, " Image codecs are left out: a feature set has no images."
     plan = PLANS[job.preset]
     rungs, reason = usable(plan.rungs)
-    plan = CodecPlan(plan.frames, rungs)
-    n_frames = len(job.features.features)
-
-    def code(frames: NDArray[np.int64]) -> CodedViews:
-        with job.stage("codecs"), progress_bar("rendering and coding 400 x 300 px", len(frames)) as update:
-            return coded_town(TownConfig(), n_frames, frames, rungs, on_frames=update)
-
+    plan, n_frames = CodecPlan(plan.frames, rungs), len(job.features.features)
     with job.stage("time"):
         encode_ms = encode_times_ms(town_pictures(n_frames, (0, n_frames // 2)), rungs)
     with job.stage("judge"):
-        frontier = judge_codecs(job.features, prepared, outcomes, plan, code, encode_ms)
+        frozen = {seed: _frozen(outcome["ovib"]) for seed, outcome in outcomes.items()}
+        frontier = judge_codecs(job.features, prepared, frozen, plan, town_coder(job, rungs), encode_ms)
     gap = interval(frontier.plain_m - frontier.native_m)
     note = (
         f" Image codecs code 400 x 300 px renders of {frontier.error_m.shape[2]} test frames per seed, from the "
@@ -93,6 +104,23 @@ def code_and_judge(
         f"is added to that of all test frames; {frontier.missed}."
     )
     return frontier, note + (f" H.264 and H.265 are left out: {reason}." if reason else "")
+
+
+def town_coder(job: Job, rungs: tuple[Rung, ...]) -> Callable[[NDArray[np.int64]], CodedViews]:
+    """What codes frames of the embedded town's drive, with a progress bar, and keeps them in the cache folder."""
+
+    def code(frames: NDArray[np.int64]) -> CodedViews:
+        with job.stage("codecs"), progress_bar("rendering and coding 400 x 300 px", len(frames)) as update:
+            return coded_town(TownConfig(), len(job.features.features), frames, rungs, on_frames=update)
+
+    return code
+
+
+def _frozen(ovib: Outcome) -> Frozen:
+    of_ovib = int(np.flatnonzero(prefixes_of("ovib") == RIVAL_K)[0])
+    judged = ovib.judged
+    raw_m = np.asarray(judged["raw"].test_error_m[0])
+    return Frozen(ovib.params, raw_m, float(judged["ovib"].test_error_m[of_ovib].mean()))
 
 
 def choose_rows(n: int, seed: int, count: int) -> NDArray[np.int64]:
@@ -112,7 +140,7 @@ def choose_rows(n: int, seed: int, count: int) -> NDArray[np.int64]:
 def judge_codecs(
     feature_set: FeatureSet,
     prepared: Mapping[int, tuple[MemberData, ViewBasis]],
-    outcomes: Mapping[int, Mapping[str, Outcome]],
+    frozen: Mapping[int, Frozen],
     plan: CodecPlan,
     code: Callable[[NDArray[np.int64]], CodedViews],
     encode_ms: NDArray[np.float64],
@@ -122,37 +150,35 @@ def judge_codecs(
     Args:
         feature_set: what everything was trained on.
         prepared: data and basis per seed.
-        outcomes: trained methods per seed; `ovib` brings the frozen localizer.
+        frozen: what codecs are judged by, per seed.
         plan: frames and rungs.
         code: the coded views of frames by index; called once with the frames of all seeds.
         encode_ms: [R] time to encode a frame, by rung.
 
     Returns:
-        The frontier, on the seeds of `outcomes`.
+        The frontier, on the seeds of `frozen`.
     """
-    tests = {seed: split_indices(len(feature_set.features), seed).test for seed in outcomes}
+    tests = {seed: split_indices(len(feature_set.features), seed).test for seed in frozen}
     rows = {seed: choose_rows(len(test), seed, plan.frames) for seed, test in tests.items()}
-    frames = np.unique(np.concatenate([tests[seed][rows[seed]] for seed in outcomes]))
+    frames = np.unique(np.concatenate([tests[seed][rows[seed]] for seed in frozen]))
     coded = code(frames)
-    of_ovib = int(np.flatnonzero(prefixes_of("ovib") == RIVAL_K)[0])
     sizes, errors, plain, native, whole, ovib = [], [], [], [], [], []
     places_m = from_origin(feature_set.positions_m, origin_of(feature_set.positions_m))  # as `member_data` has them
-    for seed, outcome in outcomes.items():
+    for seed, known in frozen.items():
         mine = tests[seed][rows[seed]]
         at = np.searchsorted(frames, mine)
         features = np.concatenate([coded.plain[at, None], coded.coded[at]], axis=1).swapaxes(0, 1)
-        error_m = _judge(prepared[seed], outcome["ovib"], features, places_m[mine])
+        error_m = _judge(prepared[seed], known.params, features, places_m[mine])
         plain.append(error_m[0].mean())
         errors.append(error_m[1:])
         sizes.append(coded.payload_bytes[at].mean(axis=0))
-        judged = outcome["ovib"].judged
-        native.append(judged["raw"].test_error_m[0][rows[seed]].mean())
-        whole.append(judged["raw"].test_error_m[0].mean())
-        ovib.append(judged["ovib"].test_error_m[of_ovib].mean())
+        native.append(known.raw_m[rows[seed]].mean())
+        whole.append(known.raw_m.mean())
+        ovib.append(known.ovib_m)
     plain_m, native_m, whole_m, ovib_m = (np.array(values, np.float64) for values in (plain, native, whole, ovib))
     return Frontier(
         plan.rungs,
-        tuple(outcomes),
+        tuple(frozen),
         payload_bytes=np.stack(sizes),
         error_m=np.stack(errors),
         plain_m=plain_m,
@@ -164,7 +190,7 @@ def judge_codecs(
 
 
 def _judge(
-    prepared: tuple[MemberData, ViewBasis], ovib: Outcome, features: NDArray[np.float32], at_m: NDArray[np.float32]
+    prepared: tuple[MemberData, ViewBasis], params: Params, features: NDArray[np.float32], at_m: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Errors [R, T] of features [R, T, M, d] of test frames at positions [T, 3]."""
     data, basis = prepared
@@ -173,4 +199,4 @@ def _judge(
     count = len(features)
     test_x = jnp.asarray(project(basis, features.reshape(-1, *features.shape[2:])))
     seen = data._replace(test_x=test_x, test_m=jnp.asarray(np.tile(at_m, (count, 1))))
-    return np.asarray(judge_raw_jit(Trained(seen, ovib.params), arch, mask).test_error_m).reshape(count, -1)
+    return np.asarray(judge_raw_jit(Trained(seen, params), arch, mask).test_error_m).reshape(count, -1)

@@ -16,6 +16,8 @@ import jax.numpy as jnp
 from ovibjax.control.actions import SweptActions
 from ovibjax.control.residuals import encode_views
 from ovibjax.control.route_summary import summarize
+from ovibjax.control.voi import Prices
+from ovibjax.encoder.model import Params
 from ovibjax.system.coding import overhead_bytes, received
 from ovibjax.system.data import FLOATS, SystemConfig, SystemData
 from ovibjax.system.stages import arrivals, localize, replay_clients, serve, train
@@ -84,19 +86,18 @@ def along(
         point: any of `HYPERS`.
         prefixes: [K] int32 prefix lengths.
         Vs: [P] values of V.
-        data: scene, clients, servers.
+        data: scene, clients, servers; prices of its controller may be [codes, K] where there are codes to choose among.
         static: static choices.
 
     Returns:
         Metrics by name, trailing dimensions as `dims_of` says.
     """
-    train_key, route_key, queue_key = jax.random.split(key, 3)
-    params = train(train_key, point, data, static)
-    masks = jnp.stack([mode_mask(mode, static.train.arch.n_views) for mode in static.modes])
-    flat = data.x.reshape(data.x.shape[0], -1)
-    codes = jax.lax.map(lambda mask: encode_views(params, flat, mask, static.train.arch), masks)
+    _, route_key, queue_key = jax.random.split(key, 3)
+    params, masks, codes = encoded(key, point, data, static)
 
-    def at_prefix(k: jax.Array, codes: jax.Array, sizes_bytes: jax.Array | None) -> dict[str, jax.Array]:
+    def at_prefix(
+        k: jax.Array, codes: jax.Array, sizes_bytes: jax.Array | None, data: SystemData
+    ) -> dict[str, jax.Array]:
         of_k = None if sizes_bytes is None else sizes_bytes[:, k - 1]
         actions = SweptActions(modes=static.modes, k=k, sizes_bytes=of_k)
         routes, residual_m = localize(params, codes, masks, k, data, static)
@@ -115,16 +116,58 @@ def along(
         }
 
     if static.codes == FLOATS:
-        return jax.lax.map(lambda k: at_prefix(k, codes, None), prefixes)
+        return jax.lax.map(lambda k: at_prefix(k, codes, None, data), prefixes)
+    shape = (len(static.codes), prefixes.shape[0])
+    prices = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape), data.control.prices)
+
+    def of_code(one: tuple[jax.Array, jax.Array, Prices]) -> dict[str, jax.Array]:
+        coded, sizes_bytes, of_prefix = one
+
+        def at(given: tuple[jax.Array, Prices]) -> dict[str, jax.Array]:
+            priced = data._replace(control=data.control._replace(prices=given[1]))
+            return at_prefix(given[0], coded, sizes_bytes, priced)
+
+        return jax.lax.map(at, (prefixes, of_prefix))
+
+    return jax.lax.map(of_code, (*every_code(codes, data, static), prices))
+
+
+def encoded(
+    key: jax.Array, point: dict[str, jax.Array], data: SystemData, static: SystemConfig
+) -> tuple[Params, jax.Array, jax.Array]:
+    """A trained encoder and what it makes of every frame.
+
+    Args:
+        key: the seed's key, as `along` is given it.
+        point: any of `HYPERS`.
+        data: scene.
+        static: static choices.
+
+    Returns:
+        Parameters, [A, M] views of the modes, [A, F, K] latent means by mode.
+    """
+    params = train(jax.random.split(key, 3)[0], point, data, static)
+    masks = jnp.stack([mode_mask(mode, static.train.arch.n_views) for mode in static.modes])
+    flat = data.x.reshape(data.x.shape[0], -1)
+    return params, masks, jax.lax.map(lambda mask: encode_views(params, flat, mask, static.train.arch), masks)
+
+
+def every_code(codes: jax.Array, data: SystemData, static: SystemConfig) -> tuple[jax.Array, jax.Array]:
+    """What the edge receives by each code, and the sizes of requests.
+
+    Args:
+        codes: [A, F, K] latent means by mode.
+        data: which frames are known.
+        static: codes and header.
+
+    Returns:
+        [codes, A, F, K] received codes, and [codes, A, K] whole bytes of requests with prefixes of 1 to K.
+    """
     each = [received(codes, data.known, code) for code in static.codes]
     beside = [overhead_bytes(static.modes, code, static.compact) for code in static.codes]
     coded = jnp.stack([sent for sent, _ in each])
     sizes_bytes = jnp.stack([size for _, size in each]) + jnp.array(beside, jnp.float32)[..., None]
-
-    def of_code(one: tuple[jax.Array, jax.Array]) -> dict[str, jax.Array]:
-        return jax.lax.map(lambda k: at_prefix(k, *one), prefixes)
-
-    return jax.lax.map(of_code, (coded, jnp.ceil(sizes_bytes)))
+    return coded, jnp.ceil(sizes_bytes)
 
 
 @dataclass(frozen=True)

@@ -102,6 +102,7 @@ class SystemSize:
         fleet: clients N on each edge server.
         kb_per_s: link profile, KB/s of 1,024 bytes.
         batch: examples per training step.
+        requests: most requests of one client that the edge's queue has room for.
     """
 
     steps: int = 600
@@ -111,6 +112,7 @@ class SystemSize:
     fleet: int = LEVELS["high"][0]
     kb_per_s: float = LEVELS["high"][1]
     batch: int = 128
+    requests: int = 40
 
 
 def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tuple[SystemData, SystemConfig]:
@@ -156,7 +158,7 @@ def make_system(sets: list[FeatureSet], training: int, size: SystemSize) -> tupl
     )
     arch = Architecture(n_views=x.shape[1], view_dim=x.shape[2], latent=max(PREFIXES), hidden=256, last_hidden=128)
     config = TrainConfig(arch=arch, prefixes=PREFIXES, steps=size.steps, batch=size.batch)
-    return jax.tree.map(jnp.asarray, data), SystemConfig(config, tuple(modes), mixed=size.mixed)
+    return jax.tree.map(jnp.asarray, data), SystemConfig(config, tuple(modes), mixed=size.mixed, requests=size.requests)
 
 
 def held_out_rows(frames: JoinedDrives) -> np.ndarray:

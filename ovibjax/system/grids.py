@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import xarray
 
+from ovibjax.control.voi import Prices
 from ovibjax.features.frames import FeatureSet
 from ovibjax.sweep.engine import run
 from ovibjax.system.chain import UNITS, System, dims_of
@@ -19,6 +21,7 @@ def sweep_system(
     along: tuple[Sequence[int], Sequence[float], Sequence[str]],
     policy: str = "voi",
     coding: tuple[Sequence[str], bool] = (FLOATS, False),
+    prices: Prices | None = None,
     **options: Any,
 ) -> xarray.Dataset:
     """Run the system on a grid in one compiled program.
@@ -29,12 +32,15 @@ def sweep_system(
         along: prefixes k, values of V, and schedulers; what a trained member is replayed with.
         policy: request policy.
         coding: how prefixes are written, and whether those that are not floats travel under a compact header.
+        prices: of transmission, energy and delay, [codes, K] each where there are codes; `make_controller`'s if None.
         options: further options of `sweep.run`, such as `store`.
 
     Returns:
         One dimension per axis, then code unless all is sent as floats, k, V and scheduler.
     """
     data, static = make_system(*scene)
+    if prices is not None:
+        data = data._replace(control=data.control._replace(prices=jax.tree.map(jnp.asarray, prices)))
     prefixes, Vs, schedulers = along
     codes, compact = tuple(coding[0]), coding[1]
     static = replace(static, policy=policy, schedulers=tuple(schedulers), codes=codes, compact=compact)

@@ -6,10 +6,9 @@ import pytest
 
 from ovibjax.cards.codec_claims import codec_claims
 from ovibjax.cards.codec_frontier import Frontier, fewest_bytes
-from ovibjax.cards.codec_study import CodecPlan, choose_rows, judge_codecs
+from ovibjax.cards.codec_study import CodecPlan, Frozen, choose_rows, judge_codecs
 from ovibjax.cards.codec_timing import encode_times_ms
-from ovibjax.cards.compression_methods import LATENT, Outcome
-from ovibjax.edge.judging import Judged
+from ovibjax.cards.compression_methods import LATENT
 from ovibjax.edge.localize import ETAS
 from ovibjax.encoder.model import Architecture, init, locate
 from ovibjax.encoder.training_data import member_data
@@ -52,11 +51,9 @@ def frontier():
     feature_set = make_feature_set(features, position)
     prepared = {seed: member_data(feature_set, seed, rank=6) for seed in (1, 2)}
     params = init(jax.random.key(0), Architecture(n_views=4, view_dim=6, latent=LATENT))
-    blank = np.zeros(0, np.float32)
     n_test = len(split_indices(260, 1).test)
     error = np.arange(LATENT * n_test, dtype=np.float32).reshape(LATENT, n_test)
-    judged = {"ovib": Judged(blank, blank, error, blank, blank), "raw": Judged(blank, blank, RAW_M, blank, blank)}
-    outcomes = {seed: {"ovib": Outcome(params, judged, {}, {}, {})} for seed in prepared}
+    frozen = {seed: Frozen(params, RAW_M[0], float(error[31].mean())) for seed in prepared}
     asked = []
 
     def code(frames):
@@ -66,7 +63,7 @@ def frontier():
         sizes = frames[:, None] * np.array([1, 10, 100]) + np.array([1, 2, 3])
         return CodedViews(plain, coded, sizes)
 
-    found = judge_codecs(feature_set, prepared, outcomes, CodecPlan(12, RUNGS), code, ENCODE_MS)
+    found = judge_codecs(feature_set, prepared, frozen, CodecPlan(12, RUNGS), code, ENCODE_MS)
     return found, asked, feature_set, error
 
 
