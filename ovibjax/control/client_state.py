@@ -3,7 +3,7 @@
 A correction under way is a second belief, `pending`, that drifts with the first: the estimate as it will be.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,10 +20,12 @@ class ControlParams(NamedTuple):
     Attributes:
         env: drift, link, queue.
         control: prices, budget, rules.
+        adaptation: an `adaptation.Adaptation`, where g_psi is corrected while driving.
     """
 
     env: Environment
     control: Controller
+    adaptation: Any = None
 
 
 class State(NamedTuple):

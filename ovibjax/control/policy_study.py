@@ -244,7 +244,7 @@ def replay_every_policy(
     actions: ActionSet,
 ) -> dict[str, RouteResult]:
     """`compare` on one route and realization."""
-    env, control = params
+    env, control = params.env, params.control
     none = jnp.zeros(draws.rate_bps.shape, bool)
 
     def by_name(names: tuple[str, ...], histories: RouteResult) -> dict[str, RouteResult]:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.control.actions import ACTIONS, ActionSet
+from ovibjax.control.adaptive_replay import scan_adapted
 from ovibjax.control.client_state import ControlParams, Slot, SlotInfo, by_action, start
 from ovibjax.control.client_step import step
 from ovibjax.control.environment import Draws, Route, draw
@@ -35,7 +36,13 @@ def slots_of(route: Route, draws: Draws, scheduled: jax.Array) -> Slot:
 
 
 def replay_schedule(
-    draws: Draws, route: Route, policy: str, planned: jax.Array, params: ControlParams, actions: ActionSet = ACTIONS
+    draws: Draws,
+    route: Route,
+    policy: str,
+    planned: jax.Array,
+    params: ControlParams,
+    actions: ActionSet = ACTIONS,
+    adapt: str = "none",
 ) -> RouteResult:
     """Replay a policy on a given realization of the world, with the slots that it has planned ahead.
 
@@ -46,16 +53,25 @@ def replay_schedule(
         planned: [T] bool, see `planning.planned_slots`.
         params: environment and controller.
         actions: the action set (static).
+        adapt: what corrects g_psi while driving, one of `adaptation.ADAPT` (static); `params.adaptation` has its
+            numbers.
 
     Returns:
         [T] of everything that happened.
     """
+    if adapt != "none":
+        return scan_adapted(draws, slots_of(route, draws, planned), route.context, policy, params, actions, adapt)[0]
     slots, params = slots_of(route, draws, planned), by_action(params)
     return jax.lax.scan(lambda state, slot: step(state, slot, policy, params, actions), start(draws), slots)[1]
 
 
 def simulate(
-    draws: Draws, route: Route, policy: str, params: ControlParams, actions: ActionSet = ACTIONS
+    draws: Draws,
+    route: Route,
+    policy: str,
+    params: ControlParams,
+    actions: ActionSet = ACTIONS,
+    adapt: str = "none",
 ) -> RouteResult:
     """Replay a policy on a given realization of the world.
 
@@ -65,6 +81,7 @@ def simulate(
         policy: a key of `POLICIES` (static). Those in `FOLLOW_VOI` replay VOI-Control first.
         params: environment and controller.
         actions: the action set (static).
+        adapt: see `replay_schedule` (static).
 
     Returns:
         [T] of everything that happened.
@@ -72,16 +89,21 @@ def simulate(
     sent = jnp.zeros(draws.rate_bps.shape, bool)
     if policy in FOLLOW_VOI:
         sent = replay_schedule(draws, route, "voi", sent, params, actions).sent
-    return replay_schedule(draws, route, policy, plan(draws, policy, params, sent), params, actions)
+    return replay_schedule(draws, route, policy, plan(draws, policy, params, sent), params, actions, adapt)
 
 
-replay_draws = jax.jit(simulate, static_argnames=("policy", "actions"))
+replay_draws = jax.jit(simulate, static_argnames=("policy", "actions", "adapt"))
 """`simulate`, compiled once per policy and length of route."""
 
 
-@partial(jax.jit, static_argnames=("policy", "actions"))
+@partial(jax.jit, static_argnames=("policy", "actions", "adapt"))
 def replay(
-    key: jax.Array, route: Route, policy: str, params: ControlParams, actions: ActionSet = ACTIONS
+    key: jax.Array,
+    route: Route,
+    policy: str,
+    params: ControlParams,
+    actions: ActionSet = ACTIONS,
+    adapt: str = "none",
 ) -> RouteResult:
     """Replay a request policy along a route with one seed's draws of the world.
 
@@ -93,8 +115,9 @@ def replay(
         policy: a key of `POLICIES` (static).
         params: environment and controller.
         actions: the action set (static).
+        adapt: see `replay_schedule` (static).
 
     Returns:
         [T] of everything that happened.
     """
-    return simulate(draw(key, route, params.env, actions), route, policy, params, actions)
+    return simulate(draw(key, route, params.env, actions), route, policy, params, actions, adapt)

@@ -110,7 +110,8 @@ def for_oracle(draws, route, params, actions=ACTIONS):
     }
     return (
         world,
-        {name: wide(getattr(route, f"{name}_m")) for name in ("predicted", "residual", "risk")},
+        {name: wide(getattr(route, f"{name}_m")) for name in ("predicted", "residual", "risk")}
+        | {"context": np.asarray(route.context).tolist()},
         {
             "slot_s": float(params.env.slot_s),
             "timeout_s": float(params.env.timeout_s),

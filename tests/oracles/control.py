@@ -120,8 +120,9 @@ def decide(policy, t, seen, control, actions):
     return action if due and allowed[action] else None
 
 
-def follow(policy, draws, route, env, control, actions, due):
+def follow(policy, draws, route, env, control, actions, due, adapter=None):
     """Replay one policy whose planned slots are the set `due`; a dict of per-slot lists."""
+    answer = None
     belief = np.array(draws["start_error"]), np.array(draws["start_cov"]), 0.0, np.array(draws["start_toward"])
     coming, arrives, last = None, None, None
     sent_bytes, used = 0.0, 0.0
@@ -133,6 +134,8 @@ def follow(policy, draws, route, env, control, actions, due):
             coming = drifted(coming, t, draws, env["drift"])
             if arrives == t:
                 belief, coming = coming, None
+                if answer is not None:
+                    adapter.hear(*answer)
         fits = [
             control["available"][a]
             and used + control["energy"][a] <= control["energy_budget"]
@@ -145,13 +148,17 @@ def follow(policy, draws, route, env, control, actions, due):
             "waiting": coming is not None,
             "since": math.inf if last is None else (t - last) * env["slot_s"],
             "allowed": fits,
-            "predicted": route["predicted"][t],
+            "predicted": adapter.predicted(route["context"][t], route["predicted"][t])
+            if adapter
+            else route["predicted"][t],
             "realised": np.linalg.norm(route["residual"][t], axis=-1),
             "rate": draws["rate"][t],
             "delay": draws["delay"][t],
             "due": t in due,
         }
-        action = decide(policy, t, seen, control, actions)
+        action, asked = decide(policy, t, seen, control, actions), None
+        if adapter and action is not None:
+            action, asked = adapter.choose(t, route["context"][t], action, seen)
         out["sent"].append(action is not None)
         out["risk_before"].append(risk)
         if action is None:
@@ -163,12 +170,15 @@ def follow(policy, draws, route, env, control, actions, due):
             size, rate = actions[action][2], draws["rate"][t]
             latency = draws["latency"][t][action] + (8 * size / rate if rate > 0 else math.inf)
             lost = latency > env["timeout_s"]
-            predicted, measured = route["predicted"][t][action], route["residual"][t][action]
+            predicted, measured = seen["predicted"][action], route["residual"][t][action]
             fix_risk = route["risk"][t][action]
             corrected, accepted = correct(belief, measured, fix_risk, draws["toward"][t], control)
             flight = math.floor(min(latency, env["timeout_s"]) / env["slot_s"])
             out["superseded"].append(coming is not None)
+            answer = None if adapter is None or lost else (asked, fix_risk, measured - belief[0])
             coming, arrives, last = belief if lost else corrected, t + flight, t
+            if flight == 0 and answer is not None:
+                adapter.hear(*answer)
             if flight == 0:
                 belief, coming = coming, None
             sent_bytes, used = sent_bytes + size, used + control["energy"][action]
