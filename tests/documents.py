@@ -74,6 +74,11 @@ def over_seeds(card: str, column: str, digits: int = 1, spread: bool = True, **w
     return made.text(digits=digits) if spread else f"{made.mean:.{digits}f}"
 
 
+def made(card: str) -> bool:
+    """Whether `results/` has a card; what is said of a new one comes with its first full run."""
+    return (RESULTS / card / "claims.json").exists()
+
+
 def counted() -> Counter:
     """How many of the paper's claims came to which verdict, and of ours under `(ours)`."""
     every = [one for path in sorted(RESULTS.glob("*/claims.json")) for one in json.loads(path.read_text())]
@@ -91,7 +96,7 @@ def written() -> dict[Path, str]:
     environment = Environment(
         loader=FileSystemLoader(ROOT / "docs" / "templates"), undefined=StrictUndefined, keep_trailing_newline=True
     )
-    environment.globals |= {"said": said, "ours": ours, "sign": sign, "over_seeds": over_seeds}
+    environment.globals |= {"said": said, "ours": ours, "sign": sign, "over_seeds": over_seeds, "made": made}
     environment.globals |= {"counted": counted(), "paper_claims": tried()}
     return {path: filled(environment.get_template(name).render()) for name, path in WRITTEN.items()}
 

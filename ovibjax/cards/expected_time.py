@@ -7,6 +7,7 @@ from ovibjax.cards.job import PRESETS
 REFERENCE_S: dict[str, tuple[float, float, float]] = {
     "bytes": (100.0, 200.0, 700.0),
     "encoder_ablation": (20.0, 190.0, 391.0),
+    "live": (60.0, 210.0, 680.0),
     "multi_client": (45.0, 45.0, 85.0),
     "real_scene": (41.0, 41.0, 59.0),
     "request_control": (1.0, 2.0, 1.0),

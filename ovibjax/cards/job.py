@@ -13,6 +13,7 @@ from typing import Any
 import xarray
 
 from ovibjax.cards.dependencies import code_hash
+from ovibjax.errors import InputError
 from ovibjax.features.frames import FeatureSet
 from ovibjax.features.sequence import require_drive
 from ovibjax.report.provenance import provenance
@@ -33,6 +34,10 @@ FEW = 5
 """Below this many repetitions a caption says that intervals are wide: Student's t is 2.8 at 5 and 4.3 at 3."""
 
 _KEPT_S = 7 * 24 * 3600.0
+
+
+class NotHere(InputError):
+    """This machine cannot make a figure, whatever is asked for; of all figures it is left out."""
 
 
 class CardInterrupted(KeyboardInterrupt):

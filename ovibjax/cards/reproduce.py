@@ -11,7 +11,7 @@ from types import ModuleType
 
 from ovibjax.cards.catalog import card_names, card_paths, load_card, takes_queries
 from ovibjax.cards.expected_time import in_words, remaining_s
-from ovibjax.cards.job import PRESETS, CardInterrupted, Job
+from ovibjax.cards.job import PRESETS, CardInterrupted, Job, NotHere
 from ovibjax.cards.loading import load_features, load_pair
 from ovibjax.cards.paper_parts import PARTS
 from ovibjax.cards.result_pages import write_result_pages
@@ -22,6 +22,8 @@ from ovibjax.report.page import write_page
 from ovibjax.runtime.outputs import require_place
 from ovibjax.runtime.progress import console
 from ovibjax.runtime.stage_times import Stages
+
+Refusals = tuple[type[InputError], ...]
 
 
 # Its parameters are the options of the command.
@@ -78,8 +80,8 @@ def reproduce(
     for name in left_out:
         console.print(f"{name}: left out, it takes references and queries (--only {name} --data REF QUERY)")
     job = partial(Job, preset=preset, seed=seed, features=features, source=source, rank=rank, queries=queries)
-    # Of all figures, those that somebody's data do not allow are named, and the others made.
-    lenient = bool(data) and not chosen
+    # Of all figures, those that this machine or somebody's data do not allow are named, and the others made.
+    lenient = () if chosen else (InputError,) if data else (NotHere,)
     if not _run_cards(cards, lambda name: job(name=name, out=out / name, order=order, card=files[name]), lenient):
         raise InputError(f"{source}: allows no figure; the reasons are above")
     return write_result_pages(out)
@@ -150,7 +152,7 @@ def _load(
         raise CardInterrupted("interrupted while reading the data; nothing was written") from None
 
 
-def _run_cards(cards: Mapping[str, ModuleType], job: Callable[[str], Job], lenient: bool) -> bool:
+def _run_cards(cards: Mapping[str, ModuleType], job: Callable[[str], Job], lenient: Refusals) -> bool:
     """Run cards, and after each say how long the rest will take; False if the data allow none of them."""
     seen_s: dict[str, float] = {}
     for name, card in cards.items():
@@ -164,8 +166,8 @@ def _run_cards(cards: Mapping[str, ModuleType], job: Callable[[str], Job], lenie
     return bool(seen_s)
 
 
-def _run_card(card: ModuleType, job: Job, lenient: bool) -> bool:
-    """Run one card into its folder; False if the data do not allow it, which is raised unless `lenient`."""
+def _run_card(card: ModuleType, job: Job, lenient: Refusals) -> bool:
+    """Run one card into its folder; False if the data do not allow it, which is raised unless it is `lenient`."""
     results = job.out.parent
     job.out.mkdir(exist_ok=True)
     console.print(f"[bold]{card.TITLE}[/bold] ({job.preset} preset) -> {job.out}")
@@ -180,7 +182,7 @@ def _run_card(card: ModuleType, job: Job, lenient: bool) -> bool:
         raise CardInterrupted(f"interrupted in {job.name}; finished figures are in {results}") from None
     except InputError as error:
         _drop_if_empty(job.out)
-        if not lenient:
+        if not isinstance(error, lenient):
             raise
         console.print(f"{job.name}: left out, {error}", highlight=False)
         return False

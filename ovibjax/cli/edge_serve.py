@@ -40,6 +40,9 @@ class EdgeServe:
     """Compute requests past their deadline too; by default they are answered `expired`."""
     service_ms: float = 0.0
     """Least time to spend on a request: makes this edge as slow as another, for load tests."""
+    paper_speed: float = 0.0
+    """Take as long over a request as the paper's edge, 14 to 20 ms, so many times as fast: 1 for its own speed, 6 for
+    robots of edge drive --speed 6; 0 for no such thing."""
     key_file: Path | None = None
     """File with a shared key: robots must prove that they have it (HMAC-SHA256 of a challenge)."""
     tls_cert: Path | None = None
@@ -87,6 +90,7 @@ class EdgeServe:
         """What was typed, checked."""
         from ovibjax.live.connection import Limits
         from ovibjax.live.edge_server import EdgeOptions
+        from ovibjax.live.pacing import Pace
         from ovibjax.live.trust import is_loopback, read_key, server_tls
         from ovibjax.scheduling.rules import POLICIES
 
@@ -99,11 +103,14 @@ class EdgeServe:
                 raise InputError(f"--{name.replace('_', '-')} {getattr(self, name)} is not positive")
         if not 0 <= self.service_ms <= 60_000:
             raise InputError(f"--service-ms {self.service_ms} is not 0 to 60000")
+        if not 0 <= self.paper_speed <= 1000:
+            raise InputError(f"--paper-speed {self.paper_speed} is not 0 to 1000")
         key, tls = read_key(self.key_file), server_tls(self.tls_cert, self.tls_key, self.tls_ca)
         if not is_loopback([self.host]) and key is None and tls is None:
             doubt(f"--host {self.host}", "anybody who reaches this port may ask; see --key-file and --tls-cert")
         limits = Limits(self.connections, self.in_flight, frame_s=self.frame_s, idle_s=self.idle_s)
-        return EdgeOptions(self.rule, not self.serve_late, self.service_ms, key, tls, limits)
+        pace = Pace(self.service_ms, self.paper_speed)
+        return EdgeOptions(self.rule, not self.serve_late, pace, key, tls, limits)
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from ovibjax.live.connection import Arrival, Connection, Limits
 from ovibjax.live.edge_model import EdgeModel
 from ovibjax.live.latencies import Latencies
 from ovibjax.live.messages import Answer, Greeting, RobotState
+from ovibjax.live.pacing import Pace
 from ovibjax.live.request_log import RequestLog
 from ovibjax.live.waiting import Ask, WaitingRoom
 from ovibjax.scheduling.rules import default_params
@@ -41,7 +42,7 @@ class EdgeOptions:
     Attributes:
         rule: one of `scheduling.rules.POLICIES`.
         expire: whether a request past its deadline is answered `expired` instead of computed.
-        service_ms: least time that a request takes; more than it needs makes the edge as slow as another.
+        pace: least time that requests take; more than they need makes the edge as slow as another.
         key: shared key; None for no challenge.
         tls: context of TLS; None for plain TCP.
         limits: of connections.
@@ -49,7 +50,7 @@ class EdgeOptions:
 
     rule: str = "voi_lyapunov"
     expire: bool = True
-    service_ms: float = 0.0
+    pace: Pace = field(default_factory=Pace)
     key: bytes | None = None
     tls: ssl.SSLContext | None = None
     limits: Limits = field(default_factory=Limits)
@@ -106,7 +107,8 @@ class EdgeServer:
         self._closing = False
         self._in_service: _Pending | None = None
         self._worker, self._apart = ThreadPoolExecutor(1, "edge"), True
-        self._service_ms = [options.service_ms or 1.0] * len(model.masks)
+        self._modes = [mode for mode in model.file.actions.modes for _ in model.file.actions.prefixes]
+        self._service_ms = [options.pace.expected_ms(mode) or 1.0 for mode in self._modes]
 
     def warm_up(self) -> None:
         """Compile everything, and measure how long requests take."""
@@ -120,7 +122,8 @@ class EdgeServer:
                 times_ms.append(1000.0 * (time.perf_counter() - began_s))
             self._service_ms[action] = sorted(times_ms)[_MEASURED // 2]
         self._apart = max(self._service_ms) >= _APART_MS
-        self._service_ms = [max(service_ms, self._options.service_ms) for service_ms in self._service_ms]
+        planned = zip(self._modes, self._service_ms, strict=True)
+        self._service_ms = [max(service_ms, self._options.pace.expected_ms(mode)) for mode, service_ms in planned]
 
     async def serve(self, host: str, port: int, stop: asyncio.Event, on_ready: Callable[[int], None]) -> None:
         """Listen and serve until told to stop; then answer what waits.
@@ -240,7 +243,7 @@ class EdgeServer:
             self._in_service, began_s = pending, loop.time()
             served = await self._computed(pending)
             # An edge that is to be slower than it is.
-            if (left_s := began_s + 1e-3 * self._options.service_ms - loop.time()) > 0:
+            if (left_s := began_s + 1e-3 * self._least_ms(pending.request) - loop.time()) > 0:
                 await asyncio.sleep(left_s)
             free_s = loop.time()
             spent = _Spent(began_s, free_s, 1000.0 * (began_s - could_s))
@@ -250,6 +253,9 @@ class EdgeServer:
             self._end(pending, "ok", spent, served)
             # Frames that came meanwhile are read before the next choice.
             await asyncio.sleep(0)
+
+    def _least_ms(self, request: Request) -> float:
+        return self._options.pace.least_ms(request.mode, request.client, request.sequence)
 
     async def _computed(self, pending: _Pending) -> _Served:
         work = pending.action, pending.request.prefix
@@ -326,7 +332,8 @@ class EdgeServer:
             time=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             rule=self._options.rule,
             expire=self._options.expire,
-            service_ms=self._options.service_ms or None,
+            service_ms=self._options.pace.service_ms or None,
+            paper_speed=self._options.pace.paper_speed or None,
             fingerprint=self._model.file.fingerprint.hex(),
             listening=f"{host}:{self.port}",
             trust=[name for name, used in (("key", self.key), ("tls", self.tls)) if used],

@@ -16,7 +16,7 @@ from ovibjax.errors import InputError
 from ovibjax.live.robot_process import RobotJob
 
 _LINE_LIMIT_BYTES = 1 << 20
-_START_S, _END_S = 300.0, 30.0
+_START_S, _END_S, _GO_S = 300.0, 30.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,9 @@ class _Member:
         if self._process is None:
             return
         self.leave()
+        # A signal to a process that is just ending would take its exit code from the loop, which says so on the screen.
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._process.wait(), _GO_S)
         with suppress(ProcessLookupError):
             if self._process.returncode is None:
                 self._process.kill()

@@ -49,8 +49,12 @@ def modelled_ms(run: Run, rule: str | None = None) -> Floats:
     Returns:
         Milliseconds, in the order of the log.
     """
-    trace = trace_of(run)
-    found = replay(trace, rule or run.name, default_params())
+    return replayed_ms(trace_of(run), rule or run.name)
+
+
+def replayed_ms(trace: RequestTrace, rule: str) -> Floats:
+    """[J] waiting plus service of a trace under a rule with the paper's numbers, in ms."""
+    found = replay(trace, rule, default_params())
     return np.asarray(found.finish_ms, np.float64) - np.asarray(trace.ready_ms, np.float64)
 
 

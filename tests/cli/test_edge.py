@@ -15,6 +15,7 @@ BAD = {
     "a port": (("serve", "none.npz", "--port", "70000"), "--port 70000 is not 0 to 65535"),
     "a limit": (("serve", "none.npz", "--in-flight", "0"), "--in-flight 0 is not positive"),
     "a service": (("serve", "none.npz", "--service-ms", "-1"), "--service-ms -1.0 is not 0 to 60000"),
+    "a speed of the paper's": (("serve", "none.npz", "--paper-speed", "-1"), "--paper-speed -1.0 is not 0 to 1000"),
     "a key": (("serve", "none.npz", "--key-file", "none.key"), "none.key: the key cannot be read"),
     "half of TLS": (("serve", "none.npz", "--tls-key", "x.pem"), "--tls-key belongs to --tls-cert"),
     "a policy": (("drive", "none.npz", "--policy", "random"), "--policy random: robots can follow voi"),

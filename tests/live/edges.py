@@ -11,6 +11,7 @@ from ovibjax.live.connection import Limits
 from ovibjax.live.edge_server import EdgeOptions, EdgeServer
 from ovibjax.live.framing import FrameReader, frame
 from ovibjax.live.messages import ANSWER_LIMIT_BYTES, unpack_answer, unpack_greeting
+from ovibjax.live.pacing import Pace
 from ovibjax.live.request_log import RequestLog
 
 LONGEST_S = 60.0
@@ -28,10 +29,11 @@ def run(test):
 
 @asynccontextmanager
 async def an_edge(model, log=None, port=0, apart=False, **options):
-    """A serving edge; its options are those of `EdgeOptions` and `Limits`."""
+    """A serving edge; its options are those of `EdgeOptions`, `Limits` and `Pace`."""
+    paces = {name: options.pop(name) for name in list(options) if name in Pace.__dataclass_fields__}
     limits = {name: options.pop(name) for name in list(options) if name in Limits.__dataclass_fields__}
     with RequestLog(log) as written:
-        server = EdgeServer(model, EdgeOptions(**options, limits=Limits(**limits)), written)
+        server = EdgeServer(model, EdgeOptions(pace=Pace(**paces), limits=Limits(**limits), **options), written)
         server.warm_up = lambda: None  # the model is compiled, and choosing compiles when it is needed
         server._apart = apart
         stop, ready = asyncio.Event(), asyncio.Event()
