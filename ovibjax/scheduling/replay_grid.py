@@ -99,12 +99,16 @@ def _share(traces: RequestTrace, context: Any, params: SchedulerParams, block: A
     shapes = {jnp.shape(leaf) for leaf in jax.tree.leaves(params)} - {()}
     if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
         raise InputError(f"parameters have shapes {sorted(shapes)}; each must be a scalar or of one common length")
-    ties = jnp.asarray(params.ties, jnp.int32)
-    params = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), params)._replace(ties=ties)
+    params = jax.tree.map(_as_float32, params)._replace(ties=jnp.asarray(params.ties, jnp.int32))
     # Inside a program that already shares its work among the devices, each has its part.
     shared_already = bool(jax.sharding.get_abstract_mesh().axis_names)
     devices = 1 if shared_already else len(jax.local_devices())
     return _among_devices(split_on_host(traces), context, params, block, devices)
+
+
+def _as_float32(leaf: Any) -> jax.Array:
+    """A float32 array; one that is one already stays as it is, as each conversion costs as much as a small replay."""
+    return leaf if isinstance(leaf, jax.Array) and leaf.dtype == jnp.float32 else jnp.asarray(leaf, jnp.float32)
 
 
 @partial(jax.jit, static_argnames=("block", "devices"))

@@ -19,6 +19,8 @@ from ovibjax.scheduling.requests import LONGEST_MS, NEVER, Numbers, Requests, Re
 
 _FINE = 20
 _FINE_PER_MS = 1 << _FINE
+_NUMBERED = 1 << 12  # times and positions up to this fit 63 bits: times are 51 bits in size, see `LONGEST_MS`
+_AFTER_ALL = np.int64((1 << 50) + 1)
 _HORIZON_TICKS = 2.0**30.9  # below 2^31, for rounding of services and of this estimate
 
 
@@ -144,7 +146,13 @@ def _order(time: Split, valid: Numbers) -> Numbers:
     """[..., J] int32 positions by time, equal times by position, padding last."""
     if isinstance(time.whole, np.ndarray) and isinstance(valid, np.ndarray):
         key = (time.whole.astype(np.int64) << _FINE) + time.fine
-        return np.argsort(np.where(valid, key, np.iinfo(np.int64).max), axis=-1, stable=True).astype(np.int32)
+        size = key.shape[-1]
+        if size > _NUMBERED:
+            return np.argsort(np.where(valid, key, np.iinfo(np.int64).max), axis=-1, stable=True).astype(np.int32)
+        # Keys that end in their position sort more than twice as fast as positions by keys.
+        key = np.where(valid, key, _AFTER_ALL) * _NUMBERED + np.arange(size)
+        key.sort(axis=-1)
+        return (key & (_NUMBERED - 1)).astype(np.int32)
     return jnp.lexsort((time.fine, time.whole, ~jnp.asarray(valid, bool))).astype(jnp.int32)
 
 

@@ -47,8 +47,10 @@ from ovibjax.scheduling.events import synthetic_events
 from ovibjax.scheduling.replay_grid import run_grid
 from ovibjax.scheduling.requests import RequestTrace
 from ovibjax.scheduling.rules import SchedulerParams, Weights, default_params, scheduling_value
+from ovibjax.scheduling.stretches import one_by_one
 from ovibjax.scheduling.ticks import sort_requests, split_times
 from ovibjax.scheduling.ties import TIES
+from tests.benchmarks.numba_queues import numba_fifo, numba_fifo_of_traces, numba_heads, numba_shaped
 from tests.oracles import scheduling as oracle
 
 CLIENTS, EVENTS, RATE_KB_PER_S = 30, 22, 4.0
@@ -96,129 +98,6 @@ def columns(traces: RequestTrace, params: SchedulerParams) -> dict[str, np.ndarr
         "fields": np.stack([np.asarray(field) for field in fields], axis=-1),
         "tick_ms": np.asarray(q.tick_ms),
     }
-
-
-@numba.njit(parallel=True, error_model="numpy")
-def numba_shaped(ready, service, position, fields, tick_ms, weights, out):  # type: ignore[no-untyped-def]
-    """The shaped rule; the queue is a list of indices in the order of arrival, of which only the waiting are visited.
-
-    Variants that were slower on these traces: fields copied into the queue (by 14 %), fastmath (by 4 to 7 %).
-    """
-    n_traces, n_requests = ready.shape
-    n_settings = weights.shape[0]
-    zero, infinite = np.float32(0), np.float32(np.inf)
-    for replay in numba.prange(n_traces * n_settings):
-        r, p = replay // n_settings, replay % n_settings
-        w_v, w_r, w_l, w_a, w_o, w_s = weights[p]
-        field, arrival, length, where, waits = fields[r], ready[r], service[r], position[r], out[r, p]
-        queue = np.empty(n_requests, np.int32)
-        laxity = np.empty(n_requests, np.float32)
-        aged = np.empty(n_requests, np.float32)
-        overrun = np.empty(n_requests, np.float32)
-        n, upcoming, clock = 0, 0, np.int32(0)
-        for _ in range(n_requests):
-            if n == 0 and arrival[upcoming] > clock:
-                clock = arrival[upcoming]
-            while upcoming < n_requests and arrival[upcoming] <= clock:
-                queue[n] = upcoming
-                n += 1
-                upcoming += 1
-            chosen = 0
-            if n > 1:
-                low_d = low_v = low_g = low_l = low_a = low_o = infinite
-                high_d = high_v = high_g = high_l = high_a = high_o = -infinite
-                for i in range(n):
-                    j = queue[i]
-                    d, v, g = field[j, 0], field[j, 1], field[j, 2]
-                    age = np.float32(clock - arrival[j])
-                    late = age - field[j, 3]
-                    over = late if late > zero else zero
-                    lax = over - late
-                    o, a = over * field[j, 4], age * field[j, 4]
-                    laxity[i], aged[i], overrun[i] = lax, a, o
-                    low_d, high_d = min(low_d, d), max(high_d, d)
-                    low_v, high_v = min(low_v, v), max(high_v, v)
-                    low_g, high_g = min(low_g, g), max(high_g, g)
-                    low_l, high_l = min(low_l, lax), max(high_l, lax)
-                    low_a, high_a = min(low_a, a), max(high_a, a)
-                    low_o, high_o = min(low_o, o), max(high_o, o)
-                c_d = w_v / (high_d - low_d) if high_d > low_d else zero
-                c_v = w_r / (high_v - low_v) if high_v > low_v else zero
-                c_l = w_l / (high_l - low_l) if high_l > low_l else zero
-                c_a = w_a / (high_a - low_a) if high_a > low_a else zero
-                c_o = w_o / (high_o - low_o) if high_o > low_o else zero
-                c_g = w_s / (high_g - low_g) if high_g > low_g else zero
-                best = -infinite
-                for i in range(n):
-                    j = queue[i]
-                    score = c_d * field[j, 0] + c_v * field[j, 1] - c_l * laxity[i]
-                    score = score + c_a * aged[i] + c_o * overrun[i] - c_g * field[j, 2]
-                    if score > best:
-                        best, chosen = score, i
-            j = queue[chosen]
-            waits[where[j]] = np.float32(clock - arrival[j]) * tick_ms[r]
-            clock += length[j]
-            n -= 1
-            for i in range(chosen, n):
-                queue[i] = queue[i + 1]
-
-
-@numba.njit(parallel=True, error_model="numpy")
-def numba_heads(ready, service, position, client, voi, tick_ms, V, out):  # type: ignore[no-untyped-def]
-    """Base-DPP; linked lines per client, of which only the clients that wait are visited."""
-    n_traces, n_requests = ready.shape
-    n_settings = V.shape[0]
-    n_clients = client.max() + 1
-    for replay in numba.prange(n_traces * n_settings):
-        r, p = replay // n_settings, replay % n_settings
-        arrival, length, where, waits = ready[r], service[r], position[r], out[r, p]
-        backlog = np.zeros(n_clients, np.int32)
-        head = np.empty(n_clients, np.int32)
-        tail = np.empty(n_clients, np.int32)
-        following = np.empty(n_requests, np.int32)
-        active = np.empty(n_clients, np.int32)
-        n, upcoming, clock = 0, 0, np.int32(0)
-        for _ in range(n_requests):
-            if n == 0 and arrival[upcoming] > clock:
-                clock = arrival[upcoming]
-            while upcoming < n_requests and arrival[upcoming] <= clock:
-                c = client[r, upcoming]
-                if backlog[c] == 0:
-                    head[c] = upcoming
-                    active[n] = c
-                    n += 1
-                else:
-                    following[tail[c]] = upcoming
-                tail[c] = upcoming
-                backlog[c] += 1
-                upcoming += 1
-            best, chosen, slot = -np.float32(np.inf), n_requests, 0
-            for i in range(n):
-                c = active[i]
-                j = head[c]
-                score = np.float32(backlog[c]) + V[p] * voi[r, j]
-                if score > best or (score == best and j < chosen):
-                    best, chosen, slot = score, j, i
-            waits[where[chosen]] = np.float32(clock - arrival[chosen]) * tick_ms[r]
-            clock += length[chosen]
-            c = active[slot]
-            backlog[c] -= 1
-            if backlog[c] == 0:
-                n -= 1
-                active[slot] = active[n]
-            else:
-                head[c] = following[chosen]
-
-
-@numba.njit(parallel=True)
-def numba_fifo(ready, service, position, tick_ms, out):  # type: ignore[no-untyped-def]
-    """First come, first served."""
-    for r in numba.prange(ready.shape[0]):
-        clock = np.int32(0)
-        for j in range(ready.shape[1]):
-            clock = max(clock, ready[r, j])
-            out[r, 0, position[r, j]] = np.float32(clock - ready[r, j]) * tick_ms[r]
-            clock += service[r, j]
 
 
 def simpy_replay(
@@ -316,6 +195,33 @@ def compare(name: str, traces: RequestTrace, params: SchedulerParams, repeats: i
     return found
 
 
+def compare_fifo(traces: RequestTrace, repeats: int) -> None:
+    """First come, first served, where both sides are given the same: traces in any order, or sorted ticks."""
+    data = columns(traces, default_params())
+    ready, service = data["ready"], data["service"]
+    out = np.zeros((len(ready), 1, ready.shape[1]), np.float32)
+    sorted_ready, sorted_service = jnp.asarray(ready.T), jnp.asarray(service.T)
+    many = jax.jit(jax.vmap(one_by_one, in_axes=1, out_axes=1))
+    pairs = {
+        "from traces": (
+            lambda: numba_fifo_of_traces(traces.ready_ms, traces.service_ms, traces.valid, out),
+            lambda: jax.block_until_ready(run_grid(traces, "fifo", default_params())),
+        ),
+        "from sorted ticks": (
+            lambda: numba_fifo(ready, service, data["position"], data["tick_ms"], out),
+            lambda: jax.block_until_ready(many(sorted_ready, sorted_service)),
+        ),
+    }
+    print(f"\nFIFO, {len(ready)} traces")
+    for name, (theirs, ours) in pairs.items():
+        theirs(), ours()
+        theirs_s = ours_s = math.inf
+        for _ in range(repeats):
+            theirs_s, ours_s = min(theirs_s, best_of(theirs, 1)), min(ours_s, best_of(ours, 1))
+        rates = [ready.size / seconds / 1e6 for seconds in (ours_s, theirs_s)]
+        print(f"  {name:18s} ovibjax {rates[0]:7.1f} M/s  Numba {rates[1]:7.1f} M/s  ratio {theirs_s / ours_s:5.2f}")
+
+
 def time_simpy(traces: RequestTrace, params: SchedulerParams, replays: int) -> float:
     """Decisions per second of SimPy with the shaped rule, after checking its waits against ours."""
     row = RequestTrace(*(leaf[:1] for leaf in traces))
@@ -354,6 +260,8 @@ def main() -> None:
     paper = make_traces(options.traces, 0.7)
     found = compare("high congestion", paper, params, options.repeats)
     compare("overload (phases over 0.4 s)", make_traces(options.traces, 0.4), params, options.repeats)
+    compare_fifo(paper, options.repeats)
+    compare_fifo(make_traces(256 * options.traces, 0.7), options.repeats)
     simpy_rate = time_simpy(paper, params, options.simpy)
     print(f"ratio_simpy: {found['voi_lyapunov'] / simpy_rate:.0f}")
     print(f"ratio: {found['voi_lyapunov'] / found['voi_lyapunov numba']:.2f}")
