@@ -21,7 +21,7 @@ from ovibjax.control.adaptation import (
 from ovibjax.control.client_state import ControlParams, Slot, SlotInfo, State, by_action, start
 from ovibjax.control.client_step import decide, observe, respond
 from ovibjax.control.environment import Draws
-from ovibjax.control.policies import chosen
+from ovibjax.control.policies import Policy, chosen
 from ovibjax.errors import InputError
 
 
@@ -47,7 +47,7 @@ def scan_adapted(
     draws: Draws,
     slots: Slot,
     context: jax.Array,
-    policy: str,
+    policy: str | Policy,
     params: ControlParams,
     actions: ActionSet,
     adapt: str,
@@ -86,7 +86,7 @@ def step(
     client: Adaptive,
     slot: Slot,
     context: jax.Array,
-    policy: str,
+    policy: str | Policy,
     params: ControlParams,
     actions: ActionSet,
     adapt: str,

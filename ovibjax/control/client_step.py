@@ -14,7 +14,7 @@ from ovibjax.control.actions import ActionSet
 from ovibjax.control.belief import Belief, Fix
 from ovibjax.control.client_state import ControlParams, Slot, SlotInfo, State
 from ovibjax.control.controller import Controller
-from ovibjax.control.policies import POLICIES, Decision, Observation, chosen
+from ovibjax.control.policies import POLICIES, Decision, Observation, Policy, chosen
 from ovibjax.control.voi import net_voi
 from ovibjax.link.latency import transmit_s
 from ovibjax.runtime.computed_once import computed_once
@@ -42,8 +42,10 @@ class Request(NamedTuple):
     voi_m: jax.Array
 
 
-def step(state: State, slot: Slot, policy: str, params: ControlParams, actions: ActionSet) -> tuple[State, SlotInfo]:
-    """One slot of one client under a policy; `policy` and `actions` are static."""
+def step(
+    state: State, slot: Slot, policy: str | Policy, params: ControlParams, actions: ActionSet
+) -> tuple[State, SlotInfo]:
+    """One slot of one client under a policy, a key of `POLICIES` or a function; it and `actions` are static."""
     state, seen = observe(state, slot, params, actions, budgeted=policy != "oracle_action")
     decision = decide(seen, slot, policy, params, actions)
     return respond(state, slot, seen, decision, params, actions)
@@ -111,11 +113,12 @@ def affordable(
     return tuple(allowed)
 
 
-def decide(seen: Observation, slot: Slot, policy: str, params: ControlParams, actions: ActionSet) -> Decision:
+def decide(seen: Observation, slot: Slot, policy: str | Policy, params: ControlParams, actions: ActionSet) -> Decision:
     """Ask a policy what to do; `policy` and `actions` are static."""
+    rule = POLICIES[policy] if isinstance(policy, str) else policy
 
     def code(seen: Observation) -> jax.Array:
-        decision = POLICIES[policy](seen, params.control, actions)
+        decision = rule(seen, params.control, actions)
         return jnp.where(decision.send, decision.action, -1)
 
     made = computed_once(slot.number >= 0, code, seen)

@@ -15,15 +15,12 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.control.actions import ActionSet
-from ovibjax.control.client_state import ControlParams
 from ovibjax.control.controller import Controller, FixedRules
 from ovibjax.control.drift import Drift
 from ovibjax.control.environment import Draws, Environment, Route, draw
-from ovibjax.control.planning import plan
-from ovibjax.control.policies import POLICIES, as_written
+from ovibjax.control.policy_rows import Rules, replay_rows
 from ovibjax.control.policy_search import lowest_risk, search, search_variants, take
-from ovibjax.control.replay_sums import sums_by_steps
-from ovibjax.control.route_replay import RouteResult, replay_schedule
+from ovibjax.control.route_replay import RouteResult
 from ovibjax.control.route_summary import Summary, summarize
 
 SHOWN = ("voi", "budgeted_periodic")
@@ -152,7 +149,8 @@ def study(
         chosen = {policy: take(handled._replace(budget_bytes=budget), index) for policy, index in best.items()}
         control, gap_control = (chosen[policy]._replace(rules=rules) for policy in ("voi", "voi_gap"))
         tuned = chosen["uncertainty"].rules
-        histories, free_kb = compare(ControlParams(world, control), gap_control, tuned, judged_on, actions)
+        compared = Rules(control, gap_control, control._replace(rules=tuned))
+        histories, free_kb = compare(world, compared, judged_on, actions)
         return found, Outcome(
             found["voi"],
             best["voi"],
@@ -207,14 +205,13 @@ def search_every(tuned_on: RoutesAndSeeds, world: Environment, handled: Controll
 
 
 def compare(
-    params: ControlParams, gap_control: Controller, tuned: FixedRules, held_out: RoutesAndSeeds, actions: ActionSet
+    world: Environment, rules: Rules, held_out: RoutesAndSeeds, actions: ActionSet
 ) -> tuple[dict[str, RouteResult], jax.Array]:
     """Every policy on paired routes and seeds.
 
     Args:
-        params: the environment; VOI-Control's configuration, and the paper's rules.
-        gap_control: the configuration of its variant.
-        tuned: rules with the searched uncertainty threshold and gap.
+        world: the environment.
+        rules: numbers of the policies.
         held_out: a route for each seed.
         actions: the action set (static).
 
@@ -222,52 +219,9 @@ def compare(
         Histories [L, T] by policy and of `tuned_uncertainty`; [L] what VOI-Control would send without a cap, KB.
     """
 
-    def one(route: Route, key: jax.Array) -> tuple[dict[str, RouteResult], jax.Array]:
-        draws = draw(key, route, params.env, actions)
-        free = params._replace(control=params.control._replace(budget_bytes=jnp.float32(jnp.inf)))
-        return (
-            replay_every_policy(draws, route, params, gap_control, tuned, actions),
-            # A few replays: the program that histories need anyway, rather than the one for thousands.
-            sums_by_steps(draws, route, "voi", jnp.zeros(draws.rate_bps.shape, bool), free, actions).sent_bytes
-            / 1024.0,
-        )
+    def one(route: Route, key: jax.Array) -> dict[str, RouteResult]:
+        return replay_rows(draw(key, route, world, actions), route, world, rules, actions)
 
-    return jax.vmap(one)(*held_out)
-
-
-def replay_every_policy(
-    draws: Draws,
-    route: Route,
-    params: ControlParams,
-    gap_control: Controller,
-    tuned: FixedRules,
-    actions: ActionSet,
-) -> dict[str, RouteResult]:
-    """`compare` on one route and realization."""
-    env, control = params.env, params.control
-    none = jnp.zeros(draws.rate_bps.shape, bool)
-
-    def by_name(names: tuple[str, ...], histories: RouteResult) -> dict[str, RouteResult]:
-        return {name: jax.tree.map(lambda h, i=i: h[i], histories) for i, name in enumerate(names)}
-
-    def by_value(chosen: Controller) -> RouteResult:
-        return replay_schedule(draws, route, "voi_gap", none, ControlParams(env, chosen), actions)
-
-    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), as_written(control), gap_control)
-    results = by_name(("voi", "voi_gap"), jax.vmap(by_value)(both))
-    sent = results["voi"].sent
-    # The three that send one fixed action at planned slots are one scan.
-    together = ("periodic", "budgeted_periodic", "random")
-    planned = jnp.stack([plan(draws, policy, params, sent) for policy in together])
-    histories = jax.vmap(lambda slots: replay_schedule(draws, route, "random", slots, params, actions))(planned)
-    results |= by_name(together, histories)
-    for policy in ("fixed_front", "oracle_action"):
-        results[policy] = replay_schedule(draws, route, policy, plan(draws, policy, params, sent), params, actions)
-
-    def by_uncertainty(rules: FixedRules) -> RouteResult:
-        with_rules = ControlParams(env, control._replace(rules=rules))
-        return replay_schedule(draws, route, "uncertainty", none, with_rules, actions)
-
-    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), control.rules, tuned)
-    results |= by_name(("uncertainty", "tuned_uncertainty"), jax.vmap(by_uncertainty)(both))
-    return {policy: results[policy] for policy in (*POLICIES, "tuned_uncertainty")}
+    histories = jax.vmap(one)(*held_out)
+    uncapped = histories.pop("voi_uncapped")
+    return histories, jnp.sum(uncapped.payload_bytes, axis=-1) / 1024.0

@@ -15,6 +15,7 @@ from ovibjax.control.client_state import ControlParams, Slot, SlotInfo, by_actio
 from ovibjax.control.client_step import step
 from ovibjax.control.environment import Draws, Route, draw
 from ovibjax.control.planning import FOLLOW_VOI, plan
+from ovibjax.control.policies import Policy
 
 RouteResult = SlotInfo
 """What happened along a route: fields [T]."""
@@ -38,7 +39,7 @@ def slots_of(route: Route, draws: Draws, scheduled: jax.Array) -> Slot:
 def replay_schedule(
     draws: Draws,
     route: Route,
-    policy: str,
+    policy: str | Policy,
     planned: jax.Array,
     params: ControlParams,
     actions: ActionSet = ACTIONS,
@@ -49,7 +50,7 @@ def replay_schedule(
     Args:
         draws: the realization.
         route: the route.
-        policy: a key of `POLICIES` (static).
+        policy: a key of `POLICIES`, or a function as they are (static).
         planned: [T] bool, see `planning.planned_slots`.
         params: environment and controller.
         actions: the action set (static).

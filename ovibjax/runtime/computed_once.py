@@ -28,6 +28,7 @@ def computed_once(running: jax.Array, function: Callable[..., Result], *operands
     Returns:
         What the function returns; on an accelerator, where fusion has no such cost, by a plain call.
     """
+    function = _traced_once(function)
     shapes = jax.eval_shape(function, *operands)
 
     def cut(*operands: Any) -> Result:
@@ -49,8 +50,15 @@ def computed_case(case: jax.Array, functions: Sequence[Callable[..., Result]], *
     Returns:
         What the function returns.
     """
+    functions = [_traced_once(function) for function in functions]
 
     def cut(*operands: Any) -> Result:
         return jax.lax.switch(case, functions, *operands)
 
     return jax.lax.platform_dependent(*operands, cpu=cut, default=functions[-1])
+
+
+def _traced_once(function: Callable[..., Result]) -> Callable[..., Result]:
+    """The same function, which Python runs once however often it is used; nested cuts would multiply that."""
+    traced: Callable[..., Result] = jax.jit(function, inline=True)
+    return traced
