@@ -38,9 +38,10 @@ def _close(found: LiveStudy, load: str, model: str, scope: str, start: str) -> C
     for rule, values in off.items():
         live = interval(found.p95_ms(load, rule, "live", scope))
         texts.append(f"{NAMES[rule]} {interval(100.0 * values).text('%', 1)} of {live.text('ms', 1)}")
+    most = max(abs(interval(100.0 * values).mean) for values in off.values())
     verdict = weakest(near_zero(interval(values), TOLERANCE) for values in off.values())
     statement = f"{start}: the replay's edge p95 is within {_SHARE} of the live one under every rule"
-    return Claim(statement, "-", "; ".join(texts), verdict, _WITHIN).as_own()
+    return Claim(statement, "-", f"{most:.1f} % off at most: {'; '.join(texts)}", verdict, _WITHIN).as_own()
 
 
 def _lowest(found: LiveStudy) -> Claim:

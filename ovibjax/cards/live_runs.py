@@ -1,9 +1,10 @@
 """One load at one live edge: what was measured of each request, and three replays of the same requests beside it.
 
 The replays differ in what they are told. `planned` knows what can be known before anybody is asked: when requests are
-due, and how long each is to take. `service` is given the service times of the live run instead. `kept` is given all
-the time that a request kept the edge: its service, and the dispatch before it (packing the last answer, writing the
-log, reading what came, choosing), which a request that an idle edge takes at once waits for too.
+due, and how long each is to take. `service` is given the service times of the live run instead, and when requests left
+the load generator. `kept` is given all the time that a request kept the edge: its service, and the dispatch before it
+(packing the last answer, writing the log, reading what came, choosing), which a request that an idle edge takes at once
+waits for too.
 """
 
 from collections.abc import Sequence
@@ -97,13 +98,14 @@ def run_of(log: Run, offered: OfferedLoad, sent: Offered, pace: Pace) -> LiveRun
     load = offered.load
     keys = list(zip(load.client.tolist(), load.sequence.tolist(), strict=True))
     mine = in_order(log, keys)
-    due_ms = 1000.0 * (sent.due_s - sent.due_s[0])
+    due_ms, left_ms = (1000.0 * (at_s - at_s[0]) for at_s in (sent.due_s, sent.sent_s))
     planned = zip(offered.mode, keys, strict=True)
     planned_ms = np.array([pace.least_ms(mode, *key) for mode, key in planned])
     service_ms, turn_ms = mine.column("service_ms"), mine.column("turn_ms")
     decode_ms, retrieve_ms = mine.column("decode_ms"), mine.column("retrieve_ms")
-    trace = trace_of(mine)._replace(ready_ms=due_ms)
-    given = {"planned": planned_ms, "service": service_ms, "kept": service_ms + turn_ms}
+    trace, kept_ms = trace_of(mine), service_ms + turn_ms
+    given = {"planned": (due_ms, planned_ms), "service": (left_ms, service_ms), "kept": (left_ms, kept_ms)}
+    traces = {name: trace._replace(ready_ms=at_ms, service_ms=ms) for name, (at_ms, ms) in given.items()}
     ready_s = mine.column("ready_s")
     ended_s = ready_s + edge_ms(mine) / 1000.0
     return LiveRun(
@@ -124,8 +126,8 @@ def run_of(log: Run, offered: OfferedLoad, sent: Offered, pace: Pace) -> LiveRun
             "wait": np.maximum(service_ms - decode_ms - retrieve_ms, 0.0),
             "pack": mine.column("pack_ms"),
         },
-        models={name: replayed_ms(trace._replace(service_ms=times), mine.name) for name, times in given.items()},
-        share_busy=float(given["kept"].sum() / (1000.0 * (ended_s.max() - ready_s.min()))),
+        models={name: replayed_ms(trace, mine.name) for name, trace in traces.items()},
+        share_busy=float(kept_ms.sum() / (1000.0 * (ended_s.max() - ready_s.min()))),
     )
 
 

@@ -22,6 +22,10 @@ _TEST |= {"val_mean_m": "validation mean error (m)", "eta": "mixing weight η"}
 _ROUTE = {"mean_m": "route error, mean (m)", "p95_m": "route error, p95 (m)", "requests": "requests", "kb": "sent (KB)"}
 _QUEUE = {"edge_p95_ms": "edge p95 (ms)", "e2e_p95_ms": "end-to-end p95 (ms)", "stale_m": "stale feedback (m)"}
 _QUEUE |= {"cost": "weighted cost", "edge_cost": "weighted cost at the edge"}
+_LIVE = {"live_p95_ms": "edge p95, live (ms)", "planned_p95_ms": "edge p95, replayed before the run (ms)"}
+_LIVE |= {"service_p95_ms": "edge p95, replayed with its service times (ms)"}
+_LIVE |= {"kept_p95_ms": "edge p95, replayed with service and dispatch (ms)"}
+_LIVE |= {"live_e2e_p95_ms": "end-to-end p95, live (ms)", "share_busy": "share of time busy"}
 _SYSTEM = {"mean_route_m": "route error, mean (m)", "p95_route_m": "route error, p95 (m)", "kb": "sent (KB)"}
 _SYSTEM |= {"top_edge_p95_ms": "edge p95, top decile (ms)", "top_cost": "weighted cost, top decile"}
 _SYSTEM |= {"all_edge_p95_ms": "edge p95, all requests (ms)"}
@@ -155,6 +159,14 @@ TABLES: dict[str, TableStudy] = {
             "lines": "policy",
             "fixed": {"ties": PAPER_TIES, "scope": "most valuable tenth"},
         },
+        labels=_AXES | RULES | {"policy": "rule"},
+    ),
+    "live/table.csv": TableStudy(
+        "live",
+        "Live edges beside their replay: every rule and load",
+        ("policy", "load", "scope"),
+        _LIVE,
+        start={"x": "policy", "lines": "load", "fixed": {"scope": "most valuable tenth"}},
         labels=_AXES | RULES | {"policy": "rule"},
     ),
     "weights/table.csv": TableStudy(

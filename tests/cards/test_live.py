@@ -49,20 +49,24 @@ def measured(tmp_path_factory):
         "service_ms": rng.uniform(14, 22, COUNT),
         "turn_ms": rng.uniform(0.1, 0.9, COUNT),
         "voi_m": rng.uniform(0, 6, COUNT),
+        "late_s": rng.uniform(0, 0.004, COUNT),
         "decode_ms": rng.uniform(0.1, 1, COUNT),
         "retrieve_ms": rng.uniform(0.1, 1, COUNT),
     }
     kept_ms = put["service_ms"] + put["turn_ms"]
-    edge_ms = served_in_turn(1000 * (due_s - due_s[0]), kept_ms)
+    # One after another, as they leave.
+    put["sent_s"] = sent_s = np.maximum.accumulate(due_s + put["late_s"])
+    put["late_s"] = sent_s - due_s
+    edge_ms = served_in_turn(1000 * (sent_s - sent_s[0]), kept_ms)
     rows = [request(100 + i, client=0, ready_s=600.0 + i, voi_m=99.0) for i in range(WARM)]
     for j in range(COUNT):
         names = ("service_ms", "turn_ms", "voi_m", "decode_ms", "retrieve_ms")
         fields = {name: float(put[name][j]) for name in names} | {"queue_ms": float(edge_ms[j] - put["service_ms"][j])}
-        rows.append(request(j, client=1 + j % 2, ready_s=float(due_s[j]) + 0.001, **fields))
+        rows.append(request(j, client=1 + j % 2, ready_s=float(sent_s[j]) + 0.001, **fields))
     mixed = [rows[i] for i in rng.permutation(len(rows))]
     log = written(tmp_path_factory.mktemp("live") / "log", {**EDGE, "rule": "fifo"}, *mixed)
     load = Load(1 + np.arange(COUNT) % 2, np.arange(COUNT), due_s - due_s[0], [b""] * COUNT, {})
-    sent = Offered(due_s, due_s + 0.002, due_s + 0.003 + edge_ms / 1000, ["ok"] * COUNT)
+    sent = Offered(due_s, sent_s, due_s + 0.003 + edge_ms / 1000, ["ok"] * COUNT)
     offered = OfferedLoad(load, np.full(COUNT, 55.0), ["FS"] * COUNT)
     (run,) = read_runs([log])
     return put, edge_ms, run, run_of(run, offered, sent, Pace(paper_speed=1.0))
@@ -72,8 +76,8 @@ def test_a_log_is_read_in_the_order_of_the_load(measured):
     put, edge_ms, _, found = measured
     np.testing.assert_allclose(found.edge_ms, edge_ms, atol=1e-5)
     np.testing.assert_allclose(found.service_ms, put["service_ms"], atol=1e-5)
-    np.testing.assert_allclose(found.late_ms, 2.0, atol=1e-6)
-    np.testing.assert_allclose(found.noticed_ms, 1.0, atol=1e-2)
+    np.testing.assert_allclose(found.late_ms, 1000 * put["late_s"], atol=1e-6)
+    np.testing.assert_allclose(found.noticed_ms, 1 + 1000 * put["late_s"], atol=1e-2)
     np.testing.assert_allclose(found.end_to_end_ms("live"), 55.0 + 3.0 + edge_ms, atol=1e-6)
     np.testing.assert_allclose(found.end_to_end_ms("kept"), 55.0 + edge_ms, atol=0.02)
     assert found.p95_ms("live") == pytest.approx(np.percentile(edge_ms, 95), abs=1e-4)
@@ -85,14 +89,15 @@ def test_a_log_is_read_in_the_order_of_the_load(measured):
 
 def test_replays_are_those_of_an_exact_server_given_less_or_more(measured):
     put, edge_ms, _, found = measured
-    due_ms = 1000 * (put["due_s"] - put["due_s"][0])
+    due_ms, left_ms = (1000 * (put[name] - put[name][0]) for name in ("due_s", "sent_s"))
     pace = Pace(paper_speed=1.0)
     planned_ms = [pace.least_ms("FS", 1 + j % 2, j) for j in range(COUNT)]
     np.testing.assert_allclose(found.planned_ms, planned_ms)
-    given = {"planned": planned_ms, "service": put["service_ms"], "kept": put["service_ms"] + put["turn_ms"]}
+    given = {"planned": (due_ms, planned_ms), "service": (left_ms, put["service_ms"])}
+    given |= {"kept": (left_ms, put["service_ms"] + put["turn_ms"])}
     assert given.keys() == MODELS.keys()
-    for model, kept_ms in given.items():
-        np.testing.assert_allclose(found.models[model], served_in_turn(due_ms, kept_ms), atol=0.02)
+    for model, times_ms in given.items():
+        np.testing.assert_allclose(found.models[model], served_in_turn(*times_ms), atol=0.02)
     assert found.p95_ms("service") < found.p95_ms("kept") == pytest.approx(np.percentile(edge_ms, 95), abs=0.02)
 
 
@@ -102,7 +107,7 @@ def test_parts_add_up(measured):
     assert tuple(parts) == PARTS
     np.testing.assert_allclose(parts["decode"] + parts["retrieve"] + parts["wait"], found.service_ms, atol=1e-5)
     np.testing.assert_allclose(parts["queue"] + found.service_ms, edge_ms, atol=1e-5)
-    span_ms = 1000 * np.ptp(measured[0]["due_s"]) + edge_ms[-1]
+    span_ms = 1000 * np.ptp(measured[0]["sent_s"]) + edge_ms[-1]
     assert found.share_busy == pytest.approx((found.service_ms + parts["dispatch"]).sum() / span_ms, rel=1e-3)
 
 
