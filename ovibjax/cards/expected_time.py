@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from ovibjax.cards.job import PRESETS
 
 REFERENCE_S: dict[str, tuple[float, float, float]] = {
+    "adaptation": (25.0, 40.0, 40.0),
     "bytes": (100.0, 200.0, 700.0),
     "encoder_ablation": (20.0, 190.0, 391.0),
     "live": (60.0, 210.0, 680.0),

@@ -8,7 +8,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "Multi-client scheduling": ("multi_client", "weights", "theorem"),
     "Real-scene evaluation": ("real_scene",),
     "The parts together": ("walkthrough", "system_grid"),
-    "Beyond the paper": ("bytes", "live"),
+    "Beyond the paper": ("bytes", "live", "adaptation"),
 }
 """Figures by section of the paper; the last two parts are ours."""
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ovibjax.cards.ablation_drawing import NAMES as VARIANTS
+from ovibjax.cards.adaptation_drawing import LABELS as ARM_NAMES
 from ovibjax.cards.compression_drawing import NAMES as METHODS
 from ovibjax.cards.control_drawing import MODEL_NAMES
 from ovibjax.cards.control_drawing import NAMES as POLICIES
@@ -230,6 +231,15 @@ TABLES: dict[str, TableStudy] = {
         | {"edge_p95_ms_voi_lyapunov": "edge p95, VOI-Lyapunov, top decile (ms)"},
         start={"x": "k", "lines": "code"},
         labels=_AXES,
+    ),
+    "adaptation/table.csv": TableStudy(
+        "adaptation",
+        "Adaptation: worlds that change, and what robots expect",
+        ("prior", "world", "arm"),
+        {"mean_m": "route error, mean (m)", "after_m": "route error from the change on (m)"}
+        | {"kb": "sent (KB)", "requests": "requests"},
+        start={"x": "world", "lines": "arm", "fixed": {"prior": PRIORS[1]}},
+        labels=_AXES | ARM_NAMES,
     ),
 }
 """How each table is explored, by its file."""

@@ -11,9 +11,9 @@ n answers of that context and action so far, w the weight of the prior in answer
 what is rarely tried is not forgotten sooner.
 
 A robot would never learn of an action that it never takes. So one request in so many goes out with the cheaper action
-that its context has tried least recently. If the answer is as good as what the usual action promised, the context keeps
-that action until an answer is not. On routes like those of training this costs the probes, one request in so many, and
-nothing where they succeed.
+that its context has tried least recently. While its answers are on average as good as what the usual action promises,
+the context keeps that action: on trial, until the corrected g_psi speaks for it, or until they are not. On routes like
+those of training this costs the probes, one request in so many, and nothing where they succeed.
 """
 
 from typing import Any, NamedTuple
@@ -112,6 +112,8 @@ class Learned(NamedTuple):
         weight: [C, A] sum of their weights.
         last: [C, A] int32 slot of the last request, -1 before the first.
         trial: [C] int32 action that a probe found good, -1 for none.
+        trial_m: [C] sum of the risks of its answers.
+        trial_count: [C] int32 how many they are.
         asked: int32 requests so far.
     """
 
@@ -119,6 +121,8 @@ class Learned(NamedTuple):
     weight: jax.Array
     last: jax.Array
     trial: jax.Array
+    trial_m: jax.Array
+    trial_count: jax.Array
     asked: jax.Array
 
 
@@ -129,8 +133,8 @@ class Asked(NamedTuple):
         context: int32 where it was sent.
         action: int32 with what.
         risk_m: local risk then.
-        goal_m: reported risk up to which the answer is as good as what the usual action promised.
-        probe: bool, whether it was a probe or an action on trial.
+        goal_m: mean reported risk up to which answers are as good as what the usual action promises.
+        probe: bool, whether it was a probe or with an action on trial.
     """
 
     context: jax.Array
@@ -157,7 +161,8 @@ def nothing_learned(adaptation: Adaptation) -> Learned:
     shape = jnp.shape(adaptation.expected_m)
     prior = jnp.broadcast_to(jnp.asarray(adaptation.prior_weight, jnp.float32), shape)
     never = jnp.full(shape, _NEVER, jnp.int32)
-    return Learned(prior, prior, never, jnp.full(shape[0], _NEVER, jnp.int32), jnp.int32(0))
+    none = jnp.zeros(shape[0], jnp.int32)
+    return Learned(prior, prior, never, none + _NEVER, none.astype(jnp.float32), none, jnp.int32(0))
 
 
 def nothing_asked() -> tuple[Asked, Heard]:
@@ -238,12 +243,17 @@ def learn(
     else:
         ratio = heard.risk_m / jnp.maximum(expected_m, 1e-3)
     here = _at(learned, asked.context, asked.action) & arrived
-    stays = jnp.where(heard.risk_m <= asked.goal_m, asked.action, _NEVER)
     tried = (jnp.arange(learned.trial.shape[0]) == asked.context) & asked.probe & arrived
+    goes_on = learned.trial == asked.action
+    trial_m = jnp.where(goes_on, learned.trial_m, 0.0) + heard.risk_m
+    trial_count = jnp.where(goes_on, learned.trial_count, 0) + 1
+    stays = trial_m <= asked.goal_m * trial_count.astype(jnp.float32)
     return learned._replace(
         total=jnp.where(here, adaptation.keep * learned.total + ratio, learned.total),
         weight=jnp.where(here, adaptation.keep * learned.weight + 1.0, learned.weight),
-        trial=jnp.where(tried, stays, learned.trial),
+        trial=jnp.where(tried, jnp.where(stays, asked.action, _NEVER), learned.trial),
+        trial_m=jnp.where(tried, trial_m, learned.trial_m),
+        trial_count=jnp.where(tried, trial_count, learned.trial_count),
     )
 
 

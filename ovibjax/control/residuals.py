@@ -74,6 +74,7 @@ def answers(
     references: np.ndarray,
     actions: ActionSet,
     recode: bool = False,
+    sent: np.ndarray | None = None,
 ) -> Answers:
     """Leave-one-out retrieval of every frame with every action.
 
@@ -84,27 +85,39 @@ def answers(
         references: rows that are in the edge's database.
         actions: modes and prefixes.
         recode: also pass the references through the code of the request.
+        sent: [N, M, d] features that robots have of these frames, where they are not those that the edge has.
 
     Returns:
         Both, on the host.
     """
-    x = jnp.asarray(project(checkpoint.basis, features).reshape(len(features), -1))
+
+    def flat(features: np.ndarray) -> jax.Array:
+        return jnp.asarray(project(checkpoint.basis, features).reshape(len(features), -1))
+
+    x, asked = flat(features), None if sent is None else flat(sent)
     survey = make_survey(positions_m, references)
-    found = jax.device_get(_retrieve(checkpoint.params, x, survey, checkpoint.arch, actions, recode))
+    found = jax.device_get(_retrieve(checkpoint.params, x, survey, checkpoint.arch, actions, recode, asked))
     places_m = np.asarray(survey.places_m)[found.row].transpose(1, 0, 2)
     return Answers((places_m - positions_m[:, None, :2]).astype(np.float32), found.distinctness.T)
 
 
 @partial(jax.jit, static_argnames=("arch", "actions", "recode"))
 def _retrieve(
-    params: Params, x: jax.Array, survey: Survey, arch: Architecture, actions: ActionSet, recode: bool
+    params: Params,
+    x: jax.Array,
+    survey: Survey,
+    arch: Architecture,
+    actions: ActionSet,
+    recode: bool,
+    asked: jax.Array | None,
 ) -> Match:
-    """Leaves [A, N]."""
+    """Leaves [A, N]; `asked` are the frames as robots see them, None for as the edge does."""
+    frames = x if asked is None else asked
     masks = jnp.stack([mode_mask(mode, arch.n_views) for mode in actions.modes for _ in actions.prefixes])
 
     def one(action: tuple[jax.Array, jax.Array]) -> Match:
         view_mask, k = action
-        return retrieve(params, x, encode_views(params, x, view_mask, arch), (view_mask, k), survey, arch, recode)
+        return retrieve(params, x, encode_views(params, frames, view_mask, arch), (view_mask, k), survey, arch, recode)
 
     return jax.lax.map(one, (masks, jnp.asarray(actions.prefix)))
 

@@ -74,13 +74,15 @@ def make_scene(
     return cut_scene(frames, train_checkpoint(jax.random.key(0), frames.first_frames, checkpoint), reading)
 
 
-def cut_scene(frames: JoinedDrives, trained: Checkpoint, reading: Reading) -> Scene:
+def cut_scene(frames: JoinedDrives, trained: Checkpoint, reading: Reading, sent: np.ndarray | None = None) -> Scene:
     """`make_scene` with a checkpoint that is trained already.
 
     Args:
         frames: the frames of all drives.
         trained: the checkpoint.
         reading: how the paper is read.
+        sent: [N, M, d] features that robots send of these frames, where they are not those that the checkpoint, the
+            edge's references and the calibration know.
 
     Returns:
         The scene.
@@ -96,6 +98,10 @@ def cut_scene(frames: JoinedDrives, trained: Checkpoint, reading: Reading) -> Sc
         prior = fit_calibrated_prior(risk_m[known], context[known], contexts)
     else:
         prior = fit_predictor(length_m[known], context[known], contexts)
+    if sent is not None:
+        edge = frames.features, frames.positions_m, frames.references
+        found = answers(trained, *edge, actions, reading.recode, sent)
+        risk_m = np.asarray(calibrated_risk_m(calibration, jnp.asarray(found.distinctness)))
     routes = [
         Route(
             context=context[rows].astype(np.int32),

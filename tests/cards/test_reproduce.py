@@ -54,7 +54,7 @@ def check_outputs(folder: Path) -> list[dict[str, str]]:
 
 GROUPS = (
     ("scalable_compression", "encoder_ablation", "single_scene_ib", "setup"),
-    ("voi_predictor", "request_control", "view_rate_selection", "voi_timing", "multi_client", "weights"),
+    ("voi_predictor", "request_control", "view_rate_selection", "voi_timing", "adaptation", "multi_client", "weights"),
     ("system_grid", "walkthrough", "theorem", "retrieval", "real_scene", "bytes", "live"),
 )
 

@@ -165,19 +165,13 @@ def test_on_routes_like_those_of_training_the_mean_factor_is_one(kind):
 _learn = jax.jit(learn, static_argnames="adapt")
 
 
-def test_a_probe_that_succeeds_stays_until_it_fails():
+def test_a_probe_that_succeeds_stays_until_the_mean_of_its_answers_fails():
     adaptation = adaptation_of("reported")
     asked = Asked(jnp.int32(1), jnp.int32(2), jnp.float32(4.0), jnp.float32(3.0), jnp.bool_(True))
-    good, bad = (Heard(jnp.float32(risk), jnp.float32(0.0)) for risk in (3.0, 3.1))
     learned = nothing_learned(adaptation)
-    for heard, arrived, trial in (
-        (bad, True, -1),
-        (good, False, -1),
-        (good, True, 2),
-        (bad, False, 2),
-        (bad, True, -1),
-    ):
-        learned = _learn(learned, asked, heard, arrived, adaptation, "reported")
+    steps = ((3.1, True, -1), (2.0, False, -1), (2.0, True, 2), (9.0, False, 2), (4.0, True, 2), (3.1, True, -1))
+    for risk, arrived, trial in (*steps, (3.0, True, 2)):  # a new trial begins with nothing held against it
+        learned = _learn(learned, asked, Heard(jnp.float32(risk), jnp.float32(0.0)), arrived, adaptation, "reported")
         np.testing.assert_array_equal(learned.trial, [-1, trial, -1])
 
 

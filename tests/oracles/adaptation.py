@@ -2,13 +2,15 @@
 
 import math
 
+import numpy as np
+
 
 class Adapter:
     """Takes part in `tests.oracles.control.follow`; numbers are a dict of weight, keep, every and expected [C][A]."""
 
     def __init__(self, kind, numbers, actions, costs):
         self.kind, self.numbers, self.actions, self.costs = kind, numbers, actions, costs
-        self.ratios, self.last, self.trial, self.asked = {}, {}, {}, 0
+        self.ratios, self.last, self.trials, self.asked = {}, {}, {}, 0
 
     def factor(self, context, action):
         """What the prior is multiplied by: the oldest ratio has the most powers of lambda, the prior one more."""
@@ -27,8 +29,9 @@ class Adapter:
         sizes = [size for _, _, size in self.actions]
         cheaper = [a for a in range(len(sizes)) if seen["allowed"][a] and sizes[a] < sizes[usual]]
         every, action, probe = self.numbers["every"], usual, False
-        if every > 0 and self.trial.get(context) in cheaper:
-            action, probe = self.trial[context], True
+        on_trial = self.trials.get(context, (None, []))[0]
+        if every > 0 and on_trial in cheaper:
+            action, probe = on_trial, True
         elif every > 0 and (self.asked + 1) % every == 0 and cheaper:
             action, probe = min(cheaper, key=lambda a: (self.last.get((context, a), -1), sizes[a])), True
         self.asked += 1
@@ -47,4 +50,6 @@ class Adapter:
             ratio = risk / expected
         self.ratios.setdefault((context, action), []).append(ratio)
         if probe:
-            self.trial[context] = action if risk <= goal else None
+            before, risks = self.trials.get(context, (None, []))
+            risks = [*(risks if before == action else []), risk]
+            self.trials[context] = (action if np.mean(risks) <= goal else None, risks)
