@@ -23,7 +23,6 @@ from ovibjax.cards.bytes_study import BytesRuns, BytesSize, measure
 from ovibjax.cards.bytes_system import CodedSystemSize, draw_system, measure_system, system_claims, system_rows
 from ovibjax.cards.codec_frontier import RIVAL_K, Frontier
 from ovibjax.cards.job import Job
-from ovibjax.encoder.loss import BETA
 from ovibjax.encoder.model import Architecture
 from ovibjax.encoder.pca import fit_pca, pca_coordinates
 from ovibjax.encoder.train import TrainConfig
@@ -40,9 +39,9 @@ from ovibjax.system.data import SystemSize
 TITLE = "Bits, not floats"
 
 PRESETS = {
-    "smoke": BytesSize(2, 60, (1e-3,), (BETA,), (0.5,), (8,)),
-    "quick": BytesSize(3, None, (1e-3, 3e-3), (BETA,), (0.5, 1.0, 1.5), (8, 16)),
-    "full": BytesSize(5, 4000, (5e-4, 1e-3, 2e-3, 4e-3), (1e-4, BETA, 1e-2), (0.5, 1.0, 1.5, 2.5), (8, 16, 32)),
+    "smoke": BytesSize(2, 60, (1e-3,), (), (0.5,), (8,)),
+    "quick": BytesSize(3, None, (1e-3, 3e-3), (1e-2,), (0.5, 1.0, 1.5), (8, 16)),
+    "full": BytesSize(5, 4000, (5e-4, 1e-3, 2e-3, 4e-3), (1e-4, 1e-2), (0.5, 1.0, 1.5, 2.5), (8, 16, 32)),
 }
 
 REQUESTS = 128

@@ -143,7 +143,7 @@ def surrogate(found: BytesRuns, method: str) -> dict[float, tuple[np.ndarray, fl
     unit = np.log(2.0) if method == "ovib" else 1.0
     return {
         setting: (np.asarray(rate) / unit, float(found.per_coordinate[name, setting].sum()))
-        for (name, setting), rate in found.rate.items()
+        for (name, setting), rate in sorted(found.rate.items(), key=lambda item: item[0])
         if name == method
     }
 

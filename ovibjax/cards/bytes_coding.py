@@ -77,21 +77,23 @@ class Coding:
     """Codes and judges networks, and keeps what it finds.
 
     Args:
-        seeds: how many seeds there will be.
         steps: steps of entropy-coded networks that have none of their own, the finest first.
 
     Attributes:
         rows: one per method, setting, code, prefix and seed: `code_bytes`, `ideal_bytes`, `packet_bytes` (version 2),
             `compact_bytes`, `val_mean_m`, `mean_m`; bytes are means over test frames.
         excess_bytes: most that any stream was longer than 1.02 times its ideal length.
-        per_coordinate: [K] bits of each coordinate by method and setting, mean over test frames and seeds.
     """
 
-    def __init__(self, seeds: int, steps: Sequence[float]) -> None:
+    def __init__(self, steps: Sequence[float]) -> None:
         self.rows: list[Row] = []
         self.excess_bytes = -np.inf
-        self.per_coordinate: dict[tuple[str, float], np.ndarray] = {}
-        self._seeds, self._steps = seeds, steps
+        self._steps = steps
+        self._bits: dict[tuple[str, float], list[np.ndarray]] = {}
+
+    def mean_bits(self) -> dict[tuple[str, float], np.ndarray]:
+        """[K] bits of each coordinate by method and setting, mean over test frames and seeds; of the finest step."""
+        return {named: np.mean(each, axis=0) for named, each in self._bits.items()}
 
     def code(self, method: str, setting: float, seed: int, network: Network) -> None:
         """Rows of a network in every code."""
@@ -130,8 +132,7 @@ class Coding:
         if table is not None and code == "entropy":
             bits = bits_of(table, network.test)
             if method == "bits" or of_step == self._steps[0]:
-                sums = self.per_coordinate.setdefault((method, setting), np.zeros(bits.shape[1]))
-                sums += bits.mean(axis=0) / self._seeds
+                self._bits.setdefault((method, setting), []).append(bits.mean(axis=0))
         else:
             bits = np.full(network.test.shape, {"float32": 32.0, "int8": 8.0, "int4": 4.0}[code])
         ideal = np.cumsum(bits, axis=1) / 8

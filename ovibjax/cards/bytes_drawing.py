@@ -89,7 +89,8 @@ def _within(
 def draw_coordinates(ax: Axes, found: Everything) -> None:
     """Bits of each coordinate."""
     lines = {"ovib": "-", "bits": "--"}
-    shown = [(*named, bits) for named, bits in found.runs.per_coordinate.items() if named[0] in lines]
+    of_each = found.runs.per_coordinate
+    shown = [(*named, of_each[named]) for method in lines for named in sorted(of_each) if named[0] == method]
     colours = itertools.cycle((fig.BLUE, fig.ORANGE, fig.GREEN, fig.PURPLE, fig.SKY))
     for (method, setting, bits), colour in zip(shown, colours, strict=False):
         name = f"{'β' if method == 'ovib' else 'λ'} = {setting:g}"

@@ -27,6 +27,9 @@ from ovibjax.sweep.select import tree_of
 from ovibjax.sweep.work import Along
 from ovibjax.views import full_mode
 
+FEW_SEEDS = 2
+"""Seeds that the rate term is compared with bits on at other weights than the paper's: it differs little by seed."""
+
 
 class BytesSize(NamedTuple):
     """How much is trained.
@@ -35,7 +38,8 @@ class BytesSize(NamedTuple):
         seeds: how many.
         steps: training steps of every method; by the number of frames if None.
         prices: of a bit, lambda.
-        betas: weights of the paper's rate term; the paper's must be among them.
+        betas: other weights of the rate term than the paper's, whose rate is compared with bits on the first
+            `FEW_SEEDS` seeds.
         steps_of_codes: steps of entropy-coded networks that have none of their own, the finest first.
         fixed: lengths of fixed-rate models.
     """
@@ -68,24 +72,29 @@ class BytesRuns(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """How one method is trained: static choices, settings, and the prefixes that are sent."""
+    """How one method is trained: static choices, settings, the prefixes that are sent, and on how many seeds."""
 
     method: str
     static: TrainConfig
     settings: tuple[float, ...]
     ks: tuple[int, ...]
+    seeds: int
 
 
 def _kinds(size: BytesSize, static: TrainConfig, n: int) -> dict[str, _Kind]:
     """What is trained, by the name of its sweep; n training examples."""
     static = replace(static, steps=size.steps)
-    fixed = {f"fixed rate {k}": _Kind("ard", fixed_rate(static, k), (BETA,), (k,)) for k in size.fixed}
-    return {
-        "ovib": _Kind("ovib", static, size.betas, KS),
-        "bits": _Kind("bits", for_bits(static), size.prices, KS),
-        "pca_completed": _Kind("pca_completed", changed("pca_completed", static, n), (BETA,), KS),
-        **fixed,
+    kinds = {
+        "ovib": _Kind("ovib", static, (BETA,), KS, size.seeds),
+        "bits": _Kind("bits", for_bits(static), size.prices, KS, size.seeds),
+        "pca_completed": _Kind("pca_completed", changed("pca_completed", static, n), (BETA,), KS, size.seeds),
     }
+    for k in size.fixed:
+        kinds[f"fixed rate {k}"] = _Kind("ard", fixed_rate(static, k), (BETA,), (k,), size.seeds)
+    if size.betas:
+        # For the rate term alone, of all coordinates.
+        kinds["other rates"] = _Kind("ovib", static, size.betas, KS[-1:], min(FEW_SEEDS, size.seeds))
+    return kinds
 
 
 def measure(job: Job, size: BytesSize, static: TrainConfig, members: list[MemberData], seeds: list[int]) -> BytesRuns:
@@ -103,8 +112,8 @@ def measure(job: Job, size: BytesSize, static: TrainConfig, members: list[Member
     """
     kinds = _kinds(size, static, len(members[0].train.x))
     found = {name: _trained(job.sweep, name, kind, members, seeds) for name, kind in kinds.items()}
-    coding, kept = Coding(len(seeds), size.steps_of_codes), {}
-    each = [(name, setting, i) for i in range(len(seeds)) for name, kind in kinds.items() for setting in kind.settings]
+    coding, kept = Coding(size.steps_of_codes), {}
+    each = [(name, at, i) for name, kind in kinds.items() for at in kind.settings for i in range(kind.seeds)]
     with job.stage("judge"), progress_bar("coding and judging", len(each)) as update:
         for done, (name, setting, i) in enumerate(each, start=1):
             kind, seed = kinds[name], seeds[i]
@@ -116,10 +125,15 @@ def measure(job: Job, size: BytesSize, static: TrainConfig, members: list[Member
                 coding.code("pca", 0.0, seed, linear_network(network.trained, network.arch))
                 coding.quantise(seed, network, jax.random.fold_in(jax.random.key(0), i))
             update(done)
-    rate = {("ovib", beta): found["ovib"].rate.sel(beta=beta).values for beta in size.betas}
+    rate = {
+        ("ovib", at): found[name].rate.sel(beta=at).values
+        for name, kind in kinds.items()
+        if kind.method == "ovib"
+        for at in kind.settings
+    }
     learned = found["bits"].code_bits.isel(mode=0, prefix=0)
     rate |= {("bits", price): learned.sel(beta=price).values for price in size.prices}
-    return BytesRuns(coding.rows, coding.excess_bytes, coding.per_coordinate, rate, kept)
+    return BytesRuns(coding.rows, coding.excess_bytes, coding.mean_bits(), rate, kept)
 
 
 def _trained(sweep: Sweep, name: str, kind: _Kind, members: list[MemberData], seeds: Sequence[int]) -> xarray.Dataset:
@@ -128,8 +142,8 @@ def _trained(sweep: Sweep, name: str, kind: _Kind, members: list[MemberData], se
     return sweep(
         f"training {name}",
         TrainAndJudge(kind.static, longest, (mode,), keep_params=True),
-        {"beta": list(kind.settings), "seed": list(seeds)},
-        Along("seed", members),
+        {"beta": list(kind.settings), "seed": list(seeds[: kind.seeds])},
+        Along("seed", members[: kind.seeds]),
         coords={"prefix": list(longest), "mode": [mode]},
         **labels_of(kind.static.prior),
     )

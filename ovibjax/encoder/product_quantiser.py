@@ -95,10 +95,16 @@ def _nearest(x: jax.Array, centroids: jax.Array) -> jax.Array:
 @jax.jit
 def _lloyd(x: jax.Array, centroids: jax.Array) -> jax.Array:
     """Centroids [M, C, d] after some rounds of k-means on rows [M, N, d]; one without rows stays where it is."""
+    one = jnp.ones(x.shape[1], jnp.float32)
 
     def moved(x: jax.Array, centroids: jax.Array) -> jax.Array:
-        member = jax.nn.one_hot(_nearest(x, centroids), centroids.shape[0], dtype=jnp.float32)
-        count = member.sum(axis=0)[:, None]
-        return jnp.where(count > 0, member.T @ x / jnp.maximum(count, 1.0), centroids)
+        member = _nearest(x, centroids)
+        total, count = (jax.ops.segment_sum(of_row, member, centroids.shape[0]) for of_row in (x, one))
+        return jnp.where(count[:, None] > 0, total / jnp.maximum(count, 1.0)[:, None], centroids)
 
-    return jax.lax.fori_loop(0, _ROUNDS, lambda _, c: jax.vmap(moved)(x, c), centroids)
+    # Group by group: all distances of one fit the caches.
+    def group(given: tuple[jax.Array, jax.Array]) -> jax.Array:
+        rows, begin = given
+        return jax.lax.fori_loop(0, _ROUNDS, lambda _, c: moved(rows, c), begin)
+
+    return jax.lax.map(group, (x, centroids))
