@@ -37,11 +37,16 @@ def write_symbols(symbols: Sequence[int], tables: Sequence[Sequence[int]]) -> by
         below = table[symbol]
         low = (low << TOTAL_BITS) + below * width
         width *= table[symbol + 1] - below
+    return _shortest(low, width, len(symbols))
+
+
+def _shortest(low: int, width: int, count: int) -> bytes:
+    """The shortest fraction in an interval of so many symbols."""
     if not low:
         return b""
     # Of the numbers from low to high, the one that ends with the most zeros: high without what is behind the first bit
     # in which it differs from low - 1.
-    high, precision = low + width - 1, TOTAL_BITS * len(symbols)
+    high, precision = low + width - 1, TOTAL_BITS * count
     zeros = ((low - 1) ^ high).bit_length() - 1
     size = (precision - zeros + 7) // 8
     return (high >> zeros << zeros + 8 * size >> precision).to_bytes(size, "big")
@@ -58,6 +63,11 @@ def read_symbols(data: bytes, count: int, tables: Sequence[Sequence[int]]) -> li
     Returns:
         The symbols.
     """
+    return _read(data, count, tables)[0]
+
+
+def _read(data: bytes, count: int, tables: Sequence[Sequence[int]]) -> tuple[list[int], int, int]:
+    """The first symbols of a stream, and the interval that they leave: its lower end and width."""
     precision = TOTAL_BITS * count
     shift = precision - 8 * len(data)
     value = int.from_bytes(data, "big")
@@ -71,7 +81,7 @@ def read_symbols(data: bytes, count: int, tables: Sequence[Sequence[int]]) -> li
         rest -= below * width
         width *= table[symbol + 1] - below
         found.append(symbol)
-    return found
+    return found, value - rest, width
 
 
 def read_whole(data: bytes, count: int, tables: Sequence[Sequence[int]]) -> list[int]:
@@ -90,7 +100,7 @@ def read_whole(data: bytes, count: int, tables: Sequence[Sequence[int]]) -> list
     """
     # Longer than any: not worth the work.
     if len(data) <= TOTAL_BITS // 8 * count:
-        symbols = read_symbols(data, count, tables)
-        if write_symbols(symbols, tables) == data:
+        symbols, low, width = _read(data, count, tables)
+        if _shortest(low, width, count) == data:
             return symbols
     raise StreamError(f"{len(data)} bytes are no stream of {count} coordinates")
