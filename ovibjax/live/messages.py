@@ -10,14 +10,14 @@ All numbers are little-endian; each message is one frame (`framing`) and ends wi
 | hello    | `OC`, version, 0, client u16, 0 u16, nonce 32, proof 32                                             |
 | welcome  | `OW`, version, 0, proof 32                                                                        |
 | request  | a packet of `link.payload` or `link.coded_packets`, and optionally the state of the robot         |
-| state    | risk m, drift m/s, predicted delay ms, urgency, each f32                                           |
+| state    | risk m, drift m/s, predicted delay ms, urgency, each f32; or a byte each, see `small_state`        |
 | answer   | `OA`, version, status, client u16, sequence u16, residual m, queue, service and backlog ms f32, |
 |          | position 3 f64                                                                                     |
 
 The header of a packet holds mode, VOI, size and deadline. The scheduling value of the paper (eq. "scheduler_value")
 needs four numbers more, and how the edge gets them is not said: they are the state, 20 bytes with their checksum, which
 covers the packet too. A request without it is one without drift, risk and delay, of urgency 1; behind a compact header,
-which does not tell where the packet ends, it may not be missing.
+which does not tell where the packet ends, it may not be missing. In the small form it takes 7 bytes, rounded.
 """
 
 import math
@@ -30,6 +30,7 @@ from ovibjax.link.codes.coder import Coder
 from ovibjax.link.payload import PayloadError, Request, request_bytes
 from ovibjax.live.coded_requests import PLAIN, read_packet
 from ovibjax.live.framing import WireError
+from ovibjax.live.small_state import MARK, SMALL_STATE_BYTES, small_state_of, with_small_state
 from ovibjax.views import MODES
 
 VERSION = 1
@@ -165,10 +166,12 @@ def unpack_welcome(body: bytes) -> bytes:
     return proof
 
 
-def pack_request(packet: bytes, state: RobotState | None = None) -> bytes:
-    """A packet, unchanged, with or without the robot's state behind it."""
+def pack_request(packet: bytes, state: RobotState | None = None, small: bool = False) -> bytes:
+    """A packet, unchanged, with or without the robot's state behind it, which may have the small form."""
     if state is None:
         return packet
+    if small:
+        return with_small_state(packet, state)
     numbers = _STATE.pack(*state)
     return packet + numbers + _CRC.pack(zlib.crc32(packet + numbers))
 
@@ -186,22 +189,33 @@ def unpack_request(body: bytes, coders: Mapping[str, Coder] = PLAIN) -> tuple[Re
     Raises:
         WireError: the bytes are no request, or hold numbers that nobody can mean.
     """
+    small = body[: len(MARK)] == MARK
+    size = SMALL_STATE_BYTES if small else STATE_BYTES
     try:
-        request, rest = read_packet(body, coders, STATE_BYTES)
+        request, rest = read_packet(body[len(MARK) :] if small else body, coders, size)
     except PayloadError as error:
         raise WireError(str(error)) from error
     if abs(request.voi_m) > VALUE_LIMIT:
         raise WireError(f"voi_m {request.voi_m:g} is beyond {VALUE_LIMIT:g}")
-    if not rest:
+    if not rest and not small:
         return request, RobotState()
-    if len(rest) != STATE_BYTES:
-        raise WireError(f"{len(rest)} bytes behind the packet; a state has {STATE_BYTES}")
-    if zlib.crc32(body[: -_CRC.size]) != _CRC.unpack_from(rest, STATE_BYTES - _CRC.size)[0]:
+    if len(rest) != size:
+        raise WireError(f"{len(rest)} bytes behind the packet; a state has {size}")
+    numbers = small_state_of(body) if small else _state_of(body)
+    if numbers is None:
         raise WireError("checksum of the state is wrong")
-    state = RobotState(*_STATE.unpack_from(rest))
+    state = RobotState(*numbers)
     if not all(0 <= value <= VALUE_LIMIT for value in state) or state.urgency <= 0:
         raise WireError(f"state {tuple(state)} is beyond what it may be")
     return request, state
+
+
+def _state_of(body: bytes) -> tuple[float, ...] | None:
+    """The state at the end of a frame; None if its checksum is wrong."""
+    rest = body[-STATE_BYTES:]
+    if zlib.crc32(body[: -_CRC.size]) != _CRC.unpack_from(rest, STATE_BYTES - _CRC.size)[0]:
+        return None
+    return _STATE.unpack_from(rest)
 
 
 def pack_answer(answer: Answer) -> bytes:

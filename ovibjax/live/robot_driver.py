@@ -165,7 +165,8 @@ class RobotDriver:
         deadline_ms = int(np.clip(mission.deadlines_ms[slot] / self._clock.speed, 1, 65535))
         packet = self._sending.packet(Request(mode, prefix, decided.voi_m, deadline_ms, robot.number % 65536, sequence))
         drift = float(robot.drift_m_per_s[slot])
-        return pack_request(packet, RobotState(decided.risk_m, drift, 1000.0 * decided.delay_s, mission.urgency))
+        state = RobotState(decided.risk_m, drift, 1000.0 * decided.delay_s, mission.urgency)
+        return pack_request(packet, state, small=self._sending.compact)
 
     def _delay_s(self) -> np.ndarray:
         """[A] queueing, service and return that the robot predicts, in the world's time."""

@@ -28,6 +28,7 @@ def messages():
         (m.pack_welcome(proof), m.unpack_welcome),
         (m.pack_request(a_packet()), m.unpack_request),
         (m.pack_request(a_packet(), STATE), m.unpack_request),
+        (m.pack_request(a_packet(), STATE, small=True), m.unpack_request),
         (m.pack_answer(m.Answer("ok", 7, 9, 1.5, 2.0, 3.0, 4.0, (1.0, 2.0, 3.0))), m.unpack_answer),
     ]
 
