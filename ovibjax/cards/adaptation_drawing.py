@@ -80,7 +80,7 @@ def _draw_differences(ax: Axes, found: AdaptationStudy) -> None:
     ]
     panels.columns(ax, [SHORT[world] for world in WORLDS], series)
     ax.axhline(0, color="black", lw=0.7)
-    ax.set(ylabel="less error than the\nprior of training (%)", ylim=(-80, 135))
+    ax.set(ylabel="less error than the\nprior of training (%)", ylim=(-140, 155))
     ax.legend(loc="upper right", ncols=3, columnspacing=0.8, handlelength=1.0)
 
 
@@ -126,10 +126,10 @@ def _draw_belief(ax: Axes, found: AdaptationStudy, world: str) -> None:
 
 
 PANELS: Mapping[str, panels.Panel] = {
-    "front view suddenly as good as five": partial(_draw_error, world="front", legend=True),
+    "front view suddenly as good as five": partial(_draw_error, world="front"),
     "repetitive blocks no longer repetitive": partial(_draw_error, world="repetitive"),
     "backbone degrades": partial(_draw_error, world="degraded"),
-    "nothing changes": partial(_draw_error, world="unchanged"),
+    "nothing changes": partial(_draw_error, world="unchanged", legend=True),
     "paired differences": _draw_differences,
     "bytes": _draw_bytes,
     "what robots believe, front view": partial(_draw_belief, world="front"),

@@ -5,7 +5,7 @@ import os
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -58,6 +58,9 @@ class EdgeDrive:
     """How prefixes are sent: float32 as in the paper, int8, int4 or entropy, as far as the file has tables for them."""
     compact: bool = False
     """Send them under a header of about 12 bytes instead of 20 and 4 per view."""
+    adapt: Literal["none", "innovation", "reported"] = "none"
+    """Correct what robots expect of an answer while they drive, from the risks that answers report or from how far
+    they lie from the estimate; with the policies voi and voi_gap."""
     log: Path | None = None
     """File for a line of JSON per question; continued if it exists."""
     key_file: Path | None = None
@@ -74,11 +77,12 @@ class EdgeDrive:
         one_thread()
         from ovibjax.live.edge_file import load_edge
         from ovibjax.live.request_log import RequestLog
-        from ovibjax.live.robot_process import sending_of
+        from ovibjax.live.robot_process import adaptation_of, sending_of
 
         job = self._job()
         file = load_edge(self.file)
         sending_of(job, file)  # refused before any process begins
+        adaptation_of(job, file)
         address = job.address(file)
         with RequestLog(self.log) as log:
             log.write("start", side="robots", version=1, fingerprint=address.fingerprint.hex(), **self._told())
@@ -110,7 +114,7 @@ class EdgeDrive:
             read_trace(self.trace)
         job = RobotJob(str(self.file), self.host, self.port, tuple(range(self.clients)), self.policy)
         job = replace(job, profile_kb_per_s=self.profile, seconds=self.seconds, speed=self.speed, seed=self.seed)
-        job = replace(job, budget_kb=self.budget, code=self.code, compact=self.compact)
+        job = replace(job, budget_kb=self.budget, code=self.code, compact=self.compact, adapt=self.adapt)
         job = replace(job, trace=_text(self.trace), log=_text(self.log), key_file=_text(self.key_file))
         tls = (_text(self.tls_ca), _text(self.tls_cert), _text(self.tls_key))
         return replace(job, tls_ca=tls[0], tls_cert=tls[1], tls_key=tls[2])
@@ -131,7 +135,7 @@ class EdgeDrive:
 
     def _told(self) -> dict[str, object]:
         """The drive, for the log."""
-        names = ("clients", "policy", "profile", "seconds", "speed", "seed", "budget", "code", "compact")
+        names = ("clients", "policy", "profile", "seconds", "speed", "seed", "budget", "code", "compact", "adapt")
         return {name: getattr(self, name) for name in names} | {"trace": self.trace and str(self.trace)}
 
     def _print(self, result: "FleetResult") -> None:

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.adaptation import ADAPT
 from ovibjax.encoder.model import Architecture, Params, init
 from ovibjax.errors import StrPath, refusal, unreadable
 from ovibjax.features.npz import read_npz, write_npz
@@ -56,6 +57,8 @@ class EdgeFile:
         route_residual_m: [F, A, 2] how far off the edge's answer is, x and y.
         route_risk_m: [F, A] the calibrated residual that comes with it.
         tables: what prefixes may be coded with, by the name of the code; none in files of earlier versions.
+        expected_m: [C, A] what a robot that adapts expects to observe, by how it adapts, see
+            `control.adaptation.fit_expected`; none in files of earlier versions.
     """
 
     arch: Architecture
@@ -77,6 +80,7 @@ class EdgeFile:
     route_residual_m: np.ndarray
     route_risk_m: np.ndarray
     tables: Mapping[str, CodeTable] = field(default_factory=dict)
+    expected_m: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def coders(self) -> dict[str, Coder]:
@@ -96,7 +100,9 @@ class EdgeFile:
         return text.digest()[:FINGERPRINT_BYTES]
 
 
-_ARRAYS = tuple(f.name for f in fields(EdgeFile) if f.name not in ("arch", "actions", "contexts", "params", "tables"))
+_OTHERS = ("arch", "actions", "contexts", "params", "tables", "expected_m")
+_ARRAYS = tuple(f.name for f in fields(EdgeFile) if f.name not in _OTHERS)
+_EXPECTED = {adapt: f"expected.{adapt}" for adapt in ADAPT[1:]}
 _DTYPES = {"origin_m": np.float64, "route_context": np.int32, "route_number": np.int32}
 
 
@@ -112,6 +118,7 @@ def save_edge(path: StrPath, edge: EdgeFile) -> None:
     """
     arrays = {"format": np.array(FORMAT), "about": np.array(_about(edge))}
     arrays |= {name: np.asarray(getattr(edge, name)) for name in _ARRAYS} | _tables_flat(edge.tables)
+    arrays |= {_EXPECTED[adapt]: np.asarray(table) for adapt, table in edge.expected_m.items()}
     write_npz(path, arrays | {_PARAMS + name: np.asarray(leaf) for name, leaf in _flat(edge.params).items()})
 
 
@@ -140,14 +147,16 @@ def load_edge(path: StrPath) -> EdgeFile:
     leaves = _flat(empty)
     names = {name: _PARAMS + name for name in leaves}
     of_tables = [_TABLE.format(code, part) for code in codes for part in _TABLE_PARTS]
-    arrays = read_npz(path, ("format", "about", *_ARRAYS, *names.values(), *of_tables))
+    arrays = read_npz(path, ("format", "about", *_ARRAYS, *names.values(), *of_tables), tuple(_EXPECTED.values()))
     found = {name: arrays[key] for name, key in names.items()}
     for name, leaf in leaves.items():
         _check(path, names[name], found[name], leaf.shape)
     params = jax.tree_util.tree_map_with_path(lambda at, _: found[_name(at)].astype(np.float32), empty)
     _check_shapes(path, arrays, arch, actions, len(contexts))
     parts = {name: arrays[name].astype(_DTYPES.get(name, np.float32)) for name in _ARRAYS}
-    return EdgeFile(arch, actions, contexts, params, **parts, tables=_tables_of(path, arrays, codes, arch.latent))
+    tables = _tables_of(path, arrays, codes, arch.latent)
+    expected_m = {adapt: arrays[key].astype(np.float32) for adapt, key in _EXPECTED.items() if key in arrays}
+    return EdgeFile(arch, actions, contexts, params, **parts, tables=tables, expected_m=expected_m)
 
 
 def _about(edge: EdgeFile) -> str:
@@ -234,6 +243,9 @@ def _check_shapes(path: StrPath, arrays: dict[str, np.ndarray], arch: Architectu
     }
     for name in _ARRAYS:
         _check(path, name, arrays[name], expected[name])
+    for key in _EXPECTED.values():
+        if key in arrays:
+            _check(path, key, arrays[key], (c, count))
     if not 0 < refs[0] < _MOST_REFERENCES or not frames[0]:
         raise refusal(path, "it has no reference, too many, or no frame of a route")
     context, number = arrays["route_context"], arrays["route_number"]

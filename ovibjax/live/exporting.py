@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ovibjax.control.actions import ACTIONS, actions_for
+from ovibjax.control.adaptation import ADAPT, fit_expected
 from ovibjax.control.calibration import calibrated_risk_m, fit_calibration
 from ovibjax.control.drives import JoinedDrives, join_drives
 from ovibjax.control.predictor import fit_predictor
@@ -57,6 +58,8 @@ def make_edge(
     realised, distinctness = answers(trained, frames.features, frames.positions_m, kept, actions)
     length_m, distinct = np.linalg.norm(realised, axis=-1), jnp.asarray(distinctness)
     calibration = fit_calibration(distinct, jnp.asarray(length_m**2), jnp.asarray(known))
+    risk_m = np.asarray(calibrated_risk_m(calibration, distinct))
+    taught = length_m[known], risk_m[known], context[known], len(frames.contexts)
     x = project(trained.basis, frames.features)
     rows = _route_rows(frames, kept)
     # Robots send codes of every mode; tables are fitted to them together.
@@ -79,8 +82,9 @@ def make_edge(
         route_context=context[rows].astype(np.int32),
         route_number=(frames.drive[rows] - training).astype(np.int32),
         route_residual_m=realised[rows],
-        route_risk_m=np.asarray(calibrated_risk_m(calibration, distinct))[rows],
+        route_risk_m=risk_m[rows],
         tables={code: table for code in CODES if (table := fit_table(code, seen)) is not None},
+        expected_m={adapt: fit_expected(*taught, adapt) for adapt in ADAPT[1:]},
     )
 
 

@@ -16,13 +16,23 @@ import numpy.typing as npt
 
 from ovibjax.control import belief
 from ovibjax.control.actions import ActionSet
+from ovibjax.control.adaptation import (
+    Asked,
+    Heard,
+    Learned,
+    choose,
+    factors,
+    learn,
+    nothing_asked,
+    nothing_learned,
+)
 from ovibjax.control.belief import Belief, Fix
 from ovibjax.control.client_state import ControlParams, Slot, State, by_action, start
 from ovibjax.control.client_step import decide, observe, request_with
 from ovibjax.control.drift import Odometry
 from ovibjax.control.environment import Route, draw
 from ovibjax.control.planning import FOLLOW_VOI, plan
-from ovibjax.control.policies import POLICIES
+from ovibjax.control.policies import POLICIES, Decision
 from ovibjax.control.residuals import encode_views
 from ovibjax.control.route_replay import slots_of
 from ovibjax.encoder.model import Architecture, Params
@@ -58,6 +68,18 @@ class Decided(NamedTuple):
     error_m: float
 
 
+class Memory(NamedTuple):
+    """What a robot that adapts carries beside its state.
+
+    Attributes:
+        learned: what it has learned of g_psi.
+        asked: its last request.
+    """
+
+    learned: Learned
+    asked: Asked
+
+
 @dataclass(frozen=True)
 class World:
     """What the robots of a process share; the arrays are on the device.
@@ -67,12 +89,14 @@ class World:
         params: environment and controller.
         policy: one of `LIVE_POLICIES`.
         slots: slots that each robot drives.
+        adapt: what corrects g_psi while they drive, one of `control.adaptation.ADAPT`.
     """
 
     file: EdgeFile
     params: ControlParams
     policy: str
     slots: int
+    adapt: str = "none"
 
 
 class Robot:
@@ -110,6 +134,9 @@ class Robot:
         self._state: State = start(self.draws)
         self._slots: Slot | None = None
         self._asked: tuple[int, Belief] | None = None
+        adapts = world.adapt != "none"
+        self._memory = Memory(nothing_learned(self._params.adaptation), nothing_asked()[0]) if adapts else None
+        self._context = jnp.asarray(context) if adapts else None
 
     @property
     def drift_m_per_s(self) -> npt.NDArray[np.float32]:
@@ -141,9 +168,8 @@ class Robot:
             never = jnp.zeros(self._world.slots, bool)
             self._slots = slots_of(self.route, self.draws, plan(self.draws, self._world.policy, self._params, never))
         now = np.int32(slot), np.bool_(connected), delay_s
-        self._state, told = _tick(
-            self._state, self._slots, *now, self._params, self._world.policy, self._world.file.actions
-        )
+        drive, chosen = (self._slots, self._context), (self._world.policy, self._world.file.actions, self._world.adapt)
+        self._state, self._memory, told = _tick((self._state, self._memory), drive, *now, self._params, *chosen)
         send, action, *numbers = np.asarray(told).tolist()
         decided = Decided(bool(send), int(action), *numbers)
         if decided.send:
@@ -182,6 +208,8 @@ class Robot:
             return
         fix = np.float32(residual_m[0]), np.float32(residual_m[1]), np.float32(risk_m)
         found = _correct(self._asked[1], self._slots, np.int32(slot), *fix, self._params)
+        if self._memory is not None:
+            self._memory = _learn(self._memory, self._asked[1], *fix, self._params, self._world.adapt)
         for first in range(slot + 1, now + 1, _CATCH_UP):
             found = _again(found, self._slots, np.int32(first), np.int32(now), self._params)
         self._state = self._state._replace(belief=found)
@@ -202,24 +230,33 @@ _draw = jax.jit(lambda key, route, params, actions: draw(key, route, params.env,
 
 
 # What a slot brings comes as separate arguments: putting it together on the host would cost as much as the step.
-@partial(jax.jit, static_argnames=("policy", "actions"))
+@partial(jax.jit, static_argnames=("policy", "actions", "adapt"))
 def _tick(
-    state: State,
-    slots: Slot,
+    robot: tuple[State, Memory | None],
+    drive: tuple[Slot, jax.Array | None],
     number: jax.Array,
     connected: jax.Array,
     delay_s: jax.Array,
     params: ControlParams,
     policy: str,
     actions: ActionSet,
-) -> tuple[State, jax.Array]:
-    """One slot of one robot, and the fields of `Decided` as one array."""
+    adapt: str,
+) -> tuple[State, Memory | None, jax.Array]:
+    """One slot of one robot, and the fields of `Decided` as one array; `drive` are slots, and contexts if it adapts."""
+    (state, memory), (slots, contexts) = robot, drive
     error_m = belief.error_m(state.belief)
     slot = _slot(slots, number)
     slot = slot._replace(delay_s=delay_s, rate_bps=jnp.where(connected, slot.rate_bps, 0.0))
+    if memory is not None and contexts is not None:
+        context = contexts[number]
+        slot = slot._replace(predicted_m=slot.predicted_m * factors(memory.learned, adapt)[context])
     state, seen = observe(state, slot, params, actions, budgeted=True)
     decision = decide(seen, slot, policy, params, actions)
     send = decision.send & connected
+    if memory is not None and contexts is not None:
+        wanted = Decision(send, decision.action)
+        decision, asked, learned = choose(memory.learned, (context, slot.number), seen, wanted, params, actions)
+        memory = Memory(learned, jax.tree.map(lambda new, old: jnp.where(send, new, old), asked, memory.asked))
     request = request_with(decision.action, seen.risk_m, slot, seen, params, actions)
     after = state._replace(
         pending=state.belief,
@@ -237,7 +274,7 @@ def _tick(
         slot.predicted_m[decision.action],
         error_m,
     )
-    return after, jnp.stack([jnp.asarray(number).astype(jnp.float32) for number in numbers])
+    return after, memory, jnp.stack([jnp.asarray(number).astype(jnp.float32) for number in numbers])
 
 
 def _slot(slots: Slot, number: jax.Array) -> Slot:
@@ -259,6 +296,22 @@ def _correct(
     slot = _slot(slots, number)
     fix = Fix(x_m, y_m, risk_m, slot.odometry.toward_x, slot.odometry.toward_y)
     return belief.correct(before, fix, params.control.correction, params.control.gate_sigma)
+
+
+@partial(jax.jit, static_argnames="adapt")
+def _learn(
+    memory: Memory,
+    before: Belief,
+    x_m: jax.Array,
+    y_m: jax.Array,
+    risk_m: jax.Array,
+    params: ControlParams,
+    adapt: str,
+) -> Memory:
+    """What a robot knows when an answer has come to what it asked with a belief."""
+    heard = Heard(risk_m, (x_m - before.error_x_m) ** 2 + (y_m - before.error_y_m) ** 2)
+    learned = learn(memory.learned, memory.asked, heard, jnp.bool_(True), params.adaptation, adapt)
+    return memory._replace(learned=learned)
 
 
 @jax.jit

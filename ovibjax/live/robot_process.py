@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ovibjax.control.adaptation import ADAPT, ADAPTS, Adaptation, make_adaptation
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.controller import (
     GAP_LAMBDA_B_M_PER_S,
@@ -70,6 +71,7 @@ class RobotJob:
         tls_key: its private key.
         code: how prefixes are written, one of `link.codes.CODES`.
         compact: whether under a compact header.
+        adapt: what corrects g_psi while they drive, one of `control.adaptation.ADAPT`.
     """
 
     file: str
@@ -90,6 +92,7 @@ class RobotJob:
     tls_key: str | None = None
     code: str = "float32"
     compact: bool = False
+    adapt: str = "none"
 
     @property
     def slots(self) -> int:
@@ -141,7 +144,26 @@ def world_of(job: RobotJob, file: EdgeFile) -> World:
         sizes_bytes = sending.sizes_bytes(file.actions, codes)
         file = replace(file, actions=replace(file.actions, sizes_bytes=sizes_bytes))
     control = make_controller(file.actions, *prices, budget_kb=budget_kb)
-    return World(file, ControlParams(env, control), job.policy, job.slots)
+    return World(file, ControlParams(env, control, adaptation_of(job, file)), job.policy, job.slots, job.adapt)
+
+
+def adaptation_of(job: RobotJob, file: EdgeFile) -> Adaptation | None:
+    """The numbers of the robots' adaptation; None where they do not adapt.
+
+    Raises:
+        InputError: an unknown way to adapt, a policy that does not look at what adapts, or a file without the numbers.
+    """
+    if job.adapt == "none":
+        return None
+    if job.adapt not in ADAPT:
+        raise InputError(f"--adapt {job.adapt}: ways to adapt are {', '.join(ADAPT)}")
+    if job.policy not in ADAPTS:
+        raise InputError(f"--adapt {job.adapt}: policy {job.policy} asks alike whatever it learns; take {ADAPTS[0]}")
+    if job.adapt not in file.expected_m:
+        raise InputError(
+            f"--adapt {job.adapt}: {job.file} does not say what to expect; make it anew: ovibjax edge export"
+        )
+    return make_adaptation(job.adapt, file.expected_m[job.adapt])
 
 
 def robot_of(job: RobotJob, world: World, number: int, trace: Trace | None = None) -> tuple[Robot, Mission]:

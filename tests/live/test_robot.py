@@ -1,10 +1,13 @@
 """A robot that is answered when the replay says does what the replay does, slot by slot."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from ovibjax.control.adaptation import ADAPT, make_adaptation
 from ovibjax.control.client_state import ControlParams
 from ovibjax.control.controller import make_controller
 from ovibjax.control.environment import make_environment
@@ -65,6 +68,23 @@ def test_answers_as_late_as_in_the_replay_give_the_replay(policy, queue_ms, edge
         mask = sent if name != "risk_m" else slice(None)
         np.testing.assert_allclose(found[mask], getattr(expected, theirs)[mask], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(errors, expected.error_m, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("adapt", ADAPT[1:])
+@pytest.mark.parametrize("queue_ms", [20.0, 900.0])
+def test_a_robot_that_adapts_does_what_the_adapted_replay_does(adapt, queue_ms, edge_file):
+    world = world_of(edge_file, "voi", queue_median_ms=jnp.float32(queue_ms))
+    numbers = make_adaptation(adapt, edge_file.expected_m[adapt], probe_every=4)
+    world = replace(world, adapt=adapt, params=world.params._replace(adaptation=numbers))
+    robot = Robot(world, 1, jax.random.key(3))
+    arguments = robot.draws, robot.route, "voi", world.params, edge_file.actions
+    expected, fixed = (jax.device_get(replay_draws(*arguments, adapt=kind)) for kind in (adapt, "none"))
+    errors, decisions = lived(robot, world)
+    sent = np.array([decided.send for decided in decisions])
+    np.testing.assert_array_equal(sent, expected.sent)
+    np.testing.assert_array_equal(np.array([d.action for d in decisions])[sent], expected.action[sent])
+    np.testing.assert_allclose(errors, expected.error_m, rtol=1e-4, atol=1e-3)
+    assert not np.array_equal(expected.action[sent], fixed.action[sent])  # something was learned
 
 
 def test_robots_have_routes_and_draws_of_their_own(edge_file):

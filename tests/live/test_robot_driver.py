@@ -3,10 +3,12 @@
 import asyncio
 from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ovibjax.errors import InputError
 from ovibjax.live.request_log import RequestLog
 from ovibjax.live.robot_driver import RobotDriver, WorldClock
 from ovibjax.live.robot_link import RobotLink
@@ -134,3 +136,30 @@ def test_the_budget_grows_with_the_drive(edge_path, edge_file):
     assert budget_kb(seconds=296.5) == pytest.approx(2.1)
     assert budget_kb(seconds=593.0) == pytest.approx(4.2)
     assert budget_kb(seconds=593.0, budget_kb=1.0) == pytest.approx(1.0)
+
+
+def test_robots_that_adapt_drive_beside_an_edge(edge_model, edge_path, edge_file, tmp_path):
+    log = tmp_path / "robots.jsonl"
+
+    async def test():
+        async with an_edge(edge_model) as server:
+            job = job_of(edge_path, server.port, policy="voi", adapt="reported", budget_kb=50.0, seconds=40.0)
+            return await drive(job, address_of(server, edge_model), edge_file, log)
+
+    driven = run(test())
+    assert all(len(one.errors_m) == 80 for one in driven)
+    answered = [event for event in events(log, "question") if event["status"] == "ok"]
+    assert sum(one.ended["ok"] for one in driven) == len(answered) > 0
+
+
+def test_what_cannot_adapt_is_refused(edge_path, edge_file):
+    for changes, words in (
+        ({"policy": "uncertainty", "adapt": "reported"}, "uncertainty"),
+        ({"policy": "voi", "adapt": "hearsay"}, "none, innovation, reported"),
+    ):
+        with pytest.raises(InputError, match=words):
+            world_of(job_of(edge_path, 1, **changes), edge_file)
+    old = replace(edge_file, expected_m={})
+    with pytest.raises(InputError, match="edge export"):
+        world_of(job_of(edge_path, 1, policy="voi", adapt="reported"), old)
+    assert world_of(job_of(edge_path, 1, policy="voi"), old).adapt == "none"
