@@ -2,8 +2,8 @@
 
 Requests that contend with no other start when they would under FIFO. The others are replayed stretch by stretch, see
 `stretches`, in all lanes. A decision is one fused loop over lanes, of as many steps as their common list of requests
-has slots, rounded up to one of a few sizes, see `lane_list`. Where a list outgrows its slots the trace is replayed by
-`queue_replay.served_order` instead, so results are exact whatever the load.
+has slots, rounded up to one of a few sizes, see `lane_list`. Where a list outgrows its slots the stretch is replayed by
+`wide_lanes` instead, so results are exact whatever the load.
 """
 
 from collections.abc import Callable
@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 
 from ovibjax.scheduling.lane_list import SLOTS, Slot, bit, drop, request_table, slots_of
-from ovibjax.scheduling.queue_replay import served_order, to_trace_order
+from ovibjax.scheduling.lane_rules import better, nothing_yet, shaped_terms, unbounded, widened
+from ovibjax.scheduling.queue_replay import to_trace_order
 from ovibjax.scheduling.requests import Requests
-from ovibjax.scheduling.rules import SchedulerParams, scheduling_value, term_scales, timing, weighted_sum
-from ovibjax.scheduling.stretches import contended, first_come
-from ovibjax.scheduling.ties import tie_order
+from ovibjax.scheduling.rules import SchedulerParams, term_scales, weighted_sum
+from ovibjax.scheduling.stretches import Stretches, contended, first_come
+from ovibjax.scheduling.wide_lanes import wide_waits
 
 _SIZES = (1, 2, 3, 4, 6, 8, 12, 16, 24, SLOTS)
 
@@ -31,7 +32,7 @@ class _State(NamedTuple):
         clock: [L] int32 ticks.
         served: [L] int32, the slots that the lane has served, as bits.
         listed: [SLOTS + 1] int32 sorted positions of the requests that some lane has not served, in order.
-        longest: int32 longest list so far.
+        longest: int32 longest list of the stretch so far.
         waits: [J, L] milliseconds, in the order of the trace.
     """
 
@@ -45,15 +46,22 @@ class _State(NamedTuple):
 
 def lane_waits(requests: Requests, params: SchedulerParams, policy: str, n_lanes: int) -> jax.Array:
     """Waits [J, L] of one trace under L settings, in the order of the trace."""
-    overflow, waits = _decisions(requests, params, policy, n_lanes)
-    every = broadcast_params(params, n_lanes)
+    # Where the scheduling value is the same in all lanes it is a field of the list.
+    common_value = all(leaf.ndim == 0 for leaf in params.value)
+    ties = params.ties  # one number for all lanes costs them nothing
+    params = broadcast_params(params, n_lanes)._replace(ties=ties)
+    table = request_table(requests, params.value)
+    start = first_come(requests)
+    stretches = contended(requests, start)
+    waits = jnp.broadcast_to(to_trace_order(requests, start)[:, None], (start.size, n_lanes))
+    given = (requests, table, params)
+    overflows, waits = _decisions(given, policy, common_value, stretches, waits)
 
-    def again(lane: jax.Array, waits: jax.Array) -> jax.Array:
-        chosen: SchedulerParams = jax.tree.map(lambda leaf: leaf[lane], every)
-        return waits.at[:, lane].set(to_trace_order(requests, served_order(requests, policy, chosen)))
+    def again(_: jax.Array, waits: jax.Array) -> jax.Array:
+        return wide_waits(given, policy, common_value, stretches, overflows, waits)
 
-    # A loop of no turns, not a conditional: it changes the waits in place.
-    return jax.lax.fori_loop(0, jnp.where(overflow, n_lanes, 0), again, waits)
+    # A loop of one turn or none, not a conditional: it changes the waits in place.
+    return jax.lax.fori_loop(0, jnp.any(overflows).astype(jnp.int32), again, waits)
 
 
 def broadcast_params(params: SchedulerParams, n_lanes: int) -> SchedulerParams:
@@ -62,15 +70,16 @@ def broadcast_params(params: SchedulerParams, n_lanes: int) -> SchedulerParams:
     return broadcast
 
 
-def _decisions(requests: Requests, params: SchedulerParams, policy: str, n_lanes: int) -> tuple[jax.Array, jax.Array]:
-    """Whether a list overflowed, and the waits [J, L] of every request in every lane."""
-    # Where the scheduling value is the same in all lanes it is a field of the list.
-    common_value = all(leaf.ndim == 0 for leaf in params.value)
-    ties = params.ties  # one number for all lanes costs them nothing
-    params = broadcast_params(params, n_lanes)._replace(ties=ties)
-    table = request_table(requests, params.value)
-    start = first_come(requests)
-    stretches = contended(requests, start)
+def _decisions(
+    given: tuple[Requests, jax.Array, SchedulerParams],
+    policy: str,
+    common_value: bool,
+    stretches: Stretches,
+    waits: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Which stretches overflowed, [J // 2], and the waits [J, L] with those of the others written."""
+    requests, table, params = given
+    n_lanes = waits.shape[1]
     choices = [_choice(policy, size, params, common_value) for size in _SIZES]
     services = [partial(_serve, size) for size in _SIZES]
 
@@ -86,25 +95,21 @@ def _decisions(requests: Requests, params: SchedulerParams, policy: str, n_lanes
         listed, served = drop(state.listed, served)
         return _State(state.left - 1, clock, served, listed, jnp.maximum(state.longest, size), waits)
 
-    def one_stretch(carry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        number, longest, waits = carry
+    def one_stretch(number: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        overflows, waits = carry
         state = _State(
             left=stretches.length[number],
             clock=jnp.broadcast_to(stretches.begin[number], (n_lanes,)),
             served=jnp.zeros(n_lanes, jnp.int32),
             listed=stretches.first[number] + jnp.arange(SLOTS + 1, dtype=jnp.int32),
-            longest=longest,
+            longest=jnp.int32(0),
             waits=waits,
         )
         state = jax.lax.while_loop(lambda s: (s.left > 0) & (s.longest <= SLOTS), one_decision, state)
-        return number + 1, state.longest, state.waits
+        return overflows.at[number].set(state.longest > SLOTS), state.waits
 
-    def more(carry: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-        return (carry[0] < stretches.number) & (carry[1] <= SLOTS)
-
-    waits = jnp.broadcast_to(to_trace_order(requests, start)[:, None], (start.size, n_lanes))
-    _, longest, waits = jax.lax.while_loop(more, one_stretch, (jnp.int32(0), jnp.int32(0), waits))
-    return longest > SLOTS, waits
+    none = jnp.zeros(stretches.first.shape, bool)
+    return jax.lax.fori_loop(0, stretches.number, one_stretch, (none, waits))
 
 
 def _choice(policy: str, size: int, params: SchedulerParams, common_value: bool) -> Callable[..., jax.Array]:
@@ -159,25 +164,12 @@ def _shaped_choice(
 ) -> jax.Array:
     """Slots of the largest score of eq. "voi_scheduler_impl", as `rules.voi_lyapunov` has it."""
     slots = slots_of(shown, clock.shape)
-    nothing = jnp.full(clock.shape, jnp.nan, jnp.float32)
-    infinite = jnp.full(clock.shape, jnp.inf, jnp.float32)
-    low, high, terms = [infinite] * 6, [-infinite] * 6, []
+    low, high = unbounded(clock.shape)
+    terms = []
     for number, slot in enumerate(slots):
         waiting = (served & bit(number) == 0) & (slot.ready <= clock)
-        age = jax.lax.select(waiting, (clock - slot.ready).astype(jnp.float32), nothing)
-        fixed = (slot.density, slot.value, slot.service_est_ms)
-        if not common_value:
-            value = scheduling_value(
-                slot.voi_m, slot.drift_m_per_s, slot.risk_m, slot.delay_est_ms, slot.urgency, params.value
-            )
-            fixed = (value / slot.service_est_ms, value, slot.service_est_ms)
-        density, worth, length = (jax.lax.select(waiting, term, nothing) for term in fixed)
-        timed = timing(age, slot.slack, slot.per_deadline)
-        # Not the minimum function: a comparison with NaN is false, so slots that do not wait leave no trace.
-        for i, term in enumerate((density, worth, *timed, length)):
-            low[i] = jax.lax.select(term < low[i], term, low[i])
-            high[i] = jax.lax.select(term > high[i], term, high[i])
-        terms.append((fixed[0], fixed[1], *timed, fixed[2]))
+        terms.append(shaped_terms(slot, waiting, clock, params, common_value))
+        low, high = widened(low, high, terms[-1])
     scales = term_scales(low, high, params.weights)
     return _first_best([weighted_sum(term, scales) for term in terms], slots, params.ties)
 
@@ -205,14 +197,8 @@ def _head_of_line_choice(
 
 
 def _first_best(priorities: list[jax.Array], slots: list[Slot], ties: jax.Array) -> jax.Array:
-    """Slot of the largest priority, among equals as `ties.served_first` has it; NaN never wins."""
-    best = jnp.full_like(priorities[0], -jnp.inf)
-    chosen, least = jnp.zeros(best.shape, jnp.int32), jnp.zeros(best.shape, jnp.int32)
+    """Slot of the largest priority."""
+    best = nothing_yet(priorities[0].shape)
     for number, (priority, slot) in enumerate(zip(priorities, slots, strict=True)):
-        # Slots are in the order of arrival.
-        order = jnp.broadcast_to(tie_order(slot.client, number, ties), best.shape)
-        better = (priority > best) | ((priority == best) & (order < least))
-        best = jax.lax.select(better, priority, best)
-        least = jax.lax.select(better, order, least)
-        chosen = jax.lax.select(better, jnp.full_like(chosen, number), chosen)
-    return chosen
+        best = better(best, priority, slot, number, ties)
+    return best.slot

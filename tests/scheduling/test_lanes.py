@@ -58,16 +58,21 @@ def test_lanes_equal_the_event_loop(policy, values):
     assert np.any(grid[:, 0] != grid[:, 1])
 
 
-@pytest.mark.parametrize("policy", ["base_dpp", "voi_lyapunov"])
-def test_a_list_that_overflows_is_replayed_exactly(policy):
-    # 55 requests at once do not fit 32 slots; the other trace does.
-    crowded, calm = random_trace(7, 60, "overload"), random_trace(8, 60, "spread")
-    crowded = crowded._replace(ready_ms=np.zeros(60), valid=np.arange(60) < 55)
-    params = random_params(2)
-    grid = run_grid(stack([crowded, calm]), policy, params)
-    for row, trace in enumerate((crowded, calm)):
-        for number in (0, 9):
-            np.testing.assert_array_equal(grid[row, number], waits(trace, policy, lane(params, number)))
+@pytest.mark.parametrize(("policy", "values"), [("base_dpp", False), ("voi_lyapunov", False), ("voi_lyapunov", True)])
+def test_stretches_that_outgrow_the_list_are_replayed_exactly(policy, values):
+    # 55 requests at once do not fit 32 slots; those before and after them do, as does the other trace.
+    traces = []
+    for seed in range(6):
+        crowded = random_trace(seed, 110, ("ties", "twins", "burst")[seed % 3])
+        ready = np.concatenate([crowded.ready_ms[:25], np.zeros(55) + 1e5, 2e5 + crowded.ready_ms[80:]])
+        traces.append(crowded._replace(ready_ms=ready, valid=np.ones(110, bool)))
+    traces.append(random_trace(8, 110, "spread"))
+    params = random_params(2, values)
+    grid = np.asarray(run_grid(stack(traces), policy, params))
+    for row, trace in enumerate(traces):
+        for number in (0, 9, 1 + row):
+            expected = expected_waits(trace, policy, **numbers(lane(params, number)))
+            np.testing.assert_array_equal(grid[row, number], expected)
 
 
 def test_one_way_to_break_ties_for_all_lanes():
