@@ -80,8 +80,9 @@ def nearest(query: ArrayLike, index: ClusterIndex | FaissLists, k: int = 1, prob
         probes: blocks kept per query; all of them if there are fewer.
 
     Returns:
-        Rows and similarities; equal similarities go to the lower row. Arrays of NumPy where the search ran outside of
-        a compiled program on a processor, as a copy would take longer than the search.
+        Rows and similarities; equal similarities go to the lower row, and -1 stands for none, as a query that is not a
+        number has none. Arrays of NumPy where the search ran outside of a compiled program on a processor, as a copy
+        would take longer than the search.
 
     Raises:
         ValueError: `k` or `probes` below one.

@@ -135,10 +135,11 @@ def sort_into_blocks(db: ArrayLike, tile: ArrayLike | None, key: jax.Array | Non
 
 
 def unit_rows(rows: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Rows scaled to unit norm; a zero row stays zero."""
-    norm: NDArray[np.float32] = np.sqrt(np.einsum("nd,nd->n", rows, rows))
-    norm[norm == 0] = 1
-    return rows / norm[:, None]
+    """Rows scaled to unit norm; a zero row stays zero, and one that is no number has no norm."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        norm: NDArray[np.float32] = np.sqrt(np.einsum("nd,nd->n", rows, rows))
+        norm[norm == 0] = 1
+        return rows / norm[:, None]
 
 
 def _means(unit: NDArray[np.float32], order: NDArray[np.int64], start: NDArray[np.int64]) -> NDArray[np.float32]:

@@ -54,7 +54,8 @@ def retrieve(
         tiles: tile prototypes kept per query of an index, over all its scenes.
 
     Returns:
-        [Q] int32 rows of the database (paper, Section "Coarse-to-Fine Retrieval").
+        [Q] int32 rows of the database (paper, Section "Coarse-to-Fine Retrieval"); -1 where clusters are asked for
+        what is no number.
 
     Raises:
         ValueError: `scenes` or `tiles` below one.
