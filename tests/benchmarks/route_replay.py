@@ -4,9 +4,10 @@
     python -m tests.benchmarks.route_replay --times 4  (four times the replays; --slots 2372 for as many slots)
 
 4,096 replays (16 seeds x 256 candidates) x 593 slots x 8 actions. Ours is one program over one virtual device per core,
-each with its share of the seeds and, as `ovibjax edge` sets it (NPROC=1), one thread. Numba runs scalar float32 code, replays dealt to the same cores; it looks at the
-actions only in slots where a request is possible (rested, nothing under way). `hoisted` is the same loop with all that
-no client changes computed before it, as ours has it. Python is the tests' NumPy oracle.
+each with its share of the seeds and, as `ovibjax edge` sets it (NPROC=1), one thread. Numba runs scalar float32 code,
+replays dealt to the same cores; it looks at the actions only in slots where a request is possible (rested, nothing
+under way). `hoisted` is the same loop with all that no client changes computed before it, as ours has it. Python is the
+tests' NumPy oracle.
 
 `ratio_today` and the last line are against the first Numba loop, `ratio_hoisted` against the second, `processor_ratio`
 against the first by processor time, for machines on which other things run.
