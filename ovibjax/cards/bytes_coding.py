@@ -92,7 +92,7 @@ class Coding:
         self._bits: dict[tuple[str, float], list[np.ndarray]] = {}
 
     def mean_bits(self) -> dict[tuple[str, float], np.ndarray]:
-        """[K] bits of each coordinate by method and setting, mean over test frames and seeds; of the finest step."""
+        """[K] bits of each coordinate of `ovib` and `bits` by setting, mean over test frames and seeds; finest step."""
         return {named: np.mean(each, axis=0) for named, each in self._bits.items()}
 
     def code(self, method: str, setting: float, seed: int, network: Network) -> None:
@@ -131,7 +131,7 @@ class Coding:
         of_step = float(step) if code == "entropy" and np.ndim(step) == 0 else 0.0
         if table is not None and code == "entropy":
             bits = bits_of(table, network.test)
-            if method == "bits" or of_step == self._steps[0]:
+            if method == "bits" or (method == "ovib" and of_step == self._steps[0]):
                 self._bits.setdefault((method, setting), []).append(bits.mean(axis=0))
         else:
             bits = np.full(network.test.shape, {"float32": 32.0, "int8": 8.0, "int4": 4.0}[code])

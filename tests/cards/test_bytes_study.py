@@ -1,13 +1,18 @@
 """What is chosen within a budget of bytes, and what coordinates and packets cost, on rows made up by hand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from ovibjax.cards import bytes_coding
 from ovibjax.cards.bytes_choice import COMPACT, PACKET, at_prefix, best_within, chosen, one_price
 from ovibjax.cards.bytes_claims import BUDGETS, GOALS_M, bytes_claims, surrogate
-from ovibjax.cards.bytes_coding import KS, bits_of, overheads_bytes
+from ovibjax.cards.bytes_coding import KS, Coding, Network, bits_of, overheads_bytes
 from ovibjax.cards.bytes_study import BytesRuns
+from ovibjax.edge.judging import Trained
 from ovibjax.encoder.loss import BETA
+from ovibjax.encoder.model import Architecture
 from ovibjax.link.coded_packets import CodedRequest, pack_coded, pack_compact
 from ovibjax.link.codes.coder import Coder
 from ovibjax.link.codes.tables import fit_table
@@ -90,6 +95,20 @@ def test_overheads_are_those_of_packets(n_views):
     full, compact = overheads_bytes(n_views)
     request = CodedRequest({4: "H4", 5: "A5"}[n_views], "entropy", 20, bytes(9), 3.2, 800, 17, 1000)
     assert (full, compact) == (len(pack_coded(request)) - 9, len(pack_compact(request)) - 9) == (20 + 4 * n_views, 13)
+
+
+def test_models_of_any_length_are_coded_side_by_side(monkeypatch):
+    """Fixed-rate models have as many coordinates as they send, and nested ones all."""
+    judged = SimpleNamespace(val_error_m=np.ones((1, 3)), test_error_m=np.ones((1, 3)))
+    monkeypatch.setattr(bytes_coding, "_judge_prefixes", lambda *_, **__: judged)
+    coding, rng = Coding((0.5, 1.0)), np.random.default_rng(0)
+    for method, length in (("ovib", 16), ("ard", 8), ("ard", 4)):
+        for seed in (0, 1):
+            codes = rng.normal(size=(60, length)).astype(np.float32)
+            arch = Architecture(n_views=5, latent=length)
+            coding.code(method, BETA, seed, Network(Trained(None, None), arch, (length,), codes[:40], codes[40:]))
+    assert {key: bits.shape for key, bits in coding.mean_bits().items()} == {("ovib", BETA): (16,)}
+    assert len(coding.rows) == 3 * 2 * 5
 
 
 def test_bits_of_coordinates_add_up_to_the_ideal_length():
